@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import contextlib
 import dataclasses
+import errno
 import fcntl
 import json
 import math
@@ -42,6 +43,44 @@ def open_atomic(path: Path) -> Iterator[BinaryIO]:
     """
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         yield file
+
+
+class AtomicFile:
+    """As `open_atomic`, for a file that is written over a longer time than a block.
+
+    Attributes:
+        file: What to write to.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Opens the file.
+
+        Raises:
+            OSError: If it cannot be written; the message names `path`.
+        """
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        self._path = path
+        self._closing = contextlib.ExitStack()
+        self.file: BinaryIO = self._closing.enter_context(open_atomic(path))
+
+    def close(self) -> None:
+        """Completes the file.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        with naming(self._path):
+            self._closing.close()
+
+    def discard(self) -> None:
+        """Deletes what was written, unless it was completed before."""
+        with contextlib.suppress(_DiscardedError, OSError), self._closing:  # what waits for the full disk
+            raise _DiscardedError
+
+
+class _DiscardedError(Exception):
+    """Ends the block of a file that is not wanted."""
 
 
 @contextlib.contextmanager

@@ -193,6 +193,7 @@ def test_unreadable_images_are_left_out(tmp_path: Path) -> None:
     result = foreglow_command("live", images, "--speed", 0, "--out", out)
     assert result.exit_code == 0, result.output
     assert "2 unreadable frames left out, the first: " in result.stdout
+    assert result.stdout.count("unreadable frame") == 1
     assert num_lines(out) == 2
     assert json.loads((out / "summary.json").read_text())["num_skipped"] == 2
     for path in images.iterdir():

@@ -78,7 +78,7 @@ def live_lines(summary: LiveSummary) -> list[str]:
         lines += beam_lines(run.beam, run.num_frames)
     lines += [_event_line(event) for event in summary.faults]
     if run.num_skipped:
-        lines.append(f"{counted(run.num_skipped, 'unreadable frame')} skipped, the first: {run.skipped[0]}")
+        lines.append(f"{counted(run.num_skipped, 'unreadable frame')} left out, the first: {run.skipped[0]}")
     if summary.num_unrecorded:
         lines.append(f"{summary.num_unrecorded} results were not recorded: the recording could not keep up")
     lines += [f"not recorded: {error}" for error in summary.sink_errors]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.datasets.vehicle_logs.can_writing import keep_times
-from foreglow.files import naming, open_atomic
+from foreglow.files import AtomicFile, naming
 from foreglow.plugins import words_of
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
@@ -55,8 +55,8 @@ class CanLogSink:
         self._path = path
         self._axis, self._has_frames = TimeAxis(), False
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
-        self._closing = contextlib.ExitStack()
-        file: Any = self._closing.enter_context(open_atomic(path))
+        self._written = AtomicFile(path)
+        file: Any = self._written.file
         if kind == ".blf":
             self._log: Any = can.BLFWriter(file)
         else:
@@ -88,14 +88,13 @@ class CanLogSink:
         """
         with naming(self._path):
             self._log.stop()
-            self._closing.close()
+            self._written.close()
 
     def discard(self) -> None:
         """Deletes what was written, unless it was completed before."""
         with contextlib.suppress(OSError, ValueError):  # a full disk, or closed before
             self._log.stop()
-        with contextlib.suppress(_DiscardedError, OSError), self._closing:  # what waits for the full disk
-            raise _DiscardedError
+        self._written.discard()
 
 
 def open_bus(channel: str) -> can.BusABC:
@@ -157,10 +156,6 @@ class CanBus:
     def close(self) -> None:
         """Closes the bus."""
         self._bus.shutdown()
-
-
-class _DiscardedError(Exception):
-    """Raised to make `open_atomic` delete its file."""
 
 
 def _messages(frames: tuple[CanFrame, ...], timestamp_ns: int) -> Iterator[can.Message]:

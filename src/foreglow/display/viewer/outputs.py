@@ -7,6 +7,7 @@ import os
 import queue
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,13 +18,15 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
+from foreglow.files import AtomicFile, naming
+
 APPLICATION = "foreglow"
 
 Entities: TypeAlias = Sequence[tuple[str, Any]]
 """Paths of entities, and what is logged there: Rerun's archetypes."""
 
-LOGS_PER_CHECK = 32
-"""Between two looks at whether the file can still be written."""
+PARCEL_BYTES = 1 << 16
+"""What a pipe of Linux holds."""
 
 NUM_WAITING = 16
 """Parcels of 0.2 s that may wait for the window."""
@@ -66,25 +69,31 @@ class Output(Protocol):
 
 
 class RrdFile:
-    """A recording as a file, which appears whole at the end, or not at all."""
+    """A recording as a file, which appears whole at the end, or not at all.
+
+    Rerun writes into a pipe, and a thread from there into the file: once a full disk has ended Rerun's own writer,
+    whoever flushes or ends the recording waits for ever.
+    """
 
     def __init__(self, path: Path, blueprint: Blueprint) -> None:
-        """Opens the file under a temporary name.
+        """Opens the file.
 
         Raises:
             OSError: If it cannot be written; the message names the path.
         """
-        if path.exists() and not path.is_file():  # a device, too, must not be replaced
-            raise OSError(f"{path}: expected a file to write, got something else")
         self._path = path
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        self._num_logs = 0
+        self._written = AtomicFile(path)
+        self._error: OSError | None = None
         self._stream = _stream()
-        try:
-            self._stream.save(self._temporary, default_blueprint=blueprint)
-        except RuntimeError as error:
-            self.discard()
-            raise OSError(f"{path}: cannot be written: {error}") from error
+        with tempfile.TemporaryDirectory(prefix="foreglow_") as folder:
+            pipe = Path(folder) / "pipe"
+            os.mkfifo(pipe)
+            self._pipe = os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0)
+            with pipe.open("wb"):  # it has a writer until Rerun is one
+                os.set_blocking(self._pipe.fileno(), True)
+                self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
+                self._thread.start()
+                self._stream.save(pipe, default_blueprint=blueprint)
 
     def log_static(self, entities: Entities) -> None:
         """Takes what is valid at all times."""
@@ -98,9 +107,7 @@ class RrdFile:
         """
         _set_times(self._stream, time_ns, frame)
         _log(self._stream, entities)
-        self._num_logs += 1
-        if self._num_logs % LOGS_PER_CHECK == 0:
-            self._check()
+        self._check()
 
     def close(self) -> None:
         """Completes the file.
@@ -108,21 +115,33 @@ class RrdFile:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
+        self._end()
         self._check()
-        self._stream.disconnect()
-        self._temporary.replace(self._path)
+        self._written.close()
 
     def discard(self) -> None:
         """Removes what was written, unless it was completed before."""
-        self._stream.disconnect()
-        with contextlib.suppress(OSError):
-            self._temporary.unlink(missing_ok=True)
+        self._end()
+        self._written.discard()
+
+    def _end(self) -> None:
+        self._stream.disconnect()  # closes its end of the pipe
+        self._thread.join()
 
     def _check(self) -> None:
-        try:
-            self._stream.flush()
-        except RuntimeError as error:
-            raise OSError(f"{self._path}: cannot be written, perhaps the disk is full: {error}") from error
+        if self._error is not None:
+            with naming(self._path):
+                raise self._error
+
+    def _write(self) -> None:
+        """Empties the pipe until it is closed, also after an error, and writes what comes before one."""
+        with self._pipe:
+            while parcel := self._pipe.read(PARCEL_BYTES):
+                if self._error is None:
+                    try:
+                        self._written.file.write(parcel)
+                    except OSError as error:
+                        self._error = error
 
 
 class ViewerWindow:

@@ -217,7 +217,7 @@ def _whose_light_lines(found: WhoseLight) -> Iterator[str]:
         return
     yield (
         f"by whose light, false below {MIN_VEHICLE_SHARE:g} of vehicle light: precision {_number(found.precision)}, "
-        f"average precision {_number(found.average_precision)}"
+        f"average precision {_number(found.average_precision)}, calibration error {_number(found.calibration_error)}"
     )
     yield f"by whose light, {_false_boxes_line(found.false_boxes, found.false_boxes_empty)}"
     for point in found.operating_points:
@@ -321,7 +321,8 @@ def _add_whose_light(page: Page, found: WhoseLight) -> None:
     page.text(
         f"A box is false if other vehicles make less than {MIN_VEHICLE_SHARE:g} of its light, as stored with the data "
         f"set for the proposals of `{found.preset}`. Of the accepted boxes {_number(found.precision)} are not false; "
-        f"average precision {_number(found.average_precision)}. Recall is that of key points."
+        f"average precision {_number(found.average_precision)}, expected calibration error (ECE) of the scores "
+        f"{_number(found.calibration_error)}. Recall is that of key points."
     )
     page.table(_false_boxes_table(found.false_boxes, found.false_boxes_empty))
     page.table(Table.of(POINT_COLUMNS, found.operating_points))

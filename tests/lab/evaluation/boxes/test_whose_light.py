@@ -68,6 +68,8 @@ def test_figures_worked_by_hand() -> None:
     assert (found.false_boxes_empty.num, found.false_boxes_empty.num_images) == (1, 1)
     # By descending score: true, false, true, true, false, true; the fifth box to find is not among the predictions.
     assert found.average_precision == pytest.approx((1 + 3 / 4 + 3 / 4 + 4 / 6 + 0) / 5)
+    # Six boxes, each a bin of its own.
+    assert found.calibration_error == pytest.approx((0.6 + 0.3 + 0.35 + 0.6 + 0.1 + 0.8) / 6)
     points = {point.limit: (point.threshold, point.recall_hidden) for point in found.operating_points}
     assert points[0.05] == (0.6, 1.0)
     # By key points the box with weak light of a vehicle in image 0 is false, and costs the rail.
@@ -104,7 +106,7 @@ def test_boxes_without_scores_are_all_accepted() -> None:
     labels = dataclasses.replace(LABELS, shares={"foreglow": SHARES})
     found = figures(labels, dataclasses.replace(BOXES, is_scored=False))
     assert found.precision == 4 / 6
-    assert np.isnan(found.average_precision)
+    assert np.isnan([found.average_precision, found.calibration_error]).all()
     assert found.operating_points == ()
 
 

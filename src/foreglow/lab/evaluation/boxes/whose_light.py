@@ -22,6 +22,7 @@ from foreglow.lab.evaluation.boxes.breakdown import (
 )
 from foreglow.lab.evaluation.boxes.curves import quality_curve
 from foreglow.lab.evaluation.boxes.matching import Matches
+from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error
 from foreglow.lab.evaluation.ratios import share
 from foreglow.runs.predictions import Predictions
 
@@ -40,6 +41,7 @@ class WhoseLight:
         precision: Share of the accepted boxes that are not false.
         average_precision: Area under precision over recall of boxes, as for key points. The boxes to find are the
             stored proposals that are not false.
+        calibration_error: Of the scores as probabilities that a box is not false (ECE); NaN without both kinds.
         operating_points: At limits of such false boxes; lights are key points.
     """
 
@@ -48,6 +50,7 @@ class WhoseLight:
     num_unmatched: int
     precision: float = math.nan
     average_precision: float = math.nan
+    calibration_error: float = math.nan
     false_boxes: FalseBoxes | None = None
     false_boxes_empty: FalseBoxes | None = None
     operating_points: tuple[OperatingPoint, ...] = ()
@@ -83,6 +86,7 @@ def whose_light(
         num_unmatched=0,
         precision=share(~is_false[matches.scores > threshold]),
         average_precision=_average_precision(matches, boxes, known) if matches.is_scored else math.nan,
+        calibration_error=_calibration_error(matches, ~is_false),
         false_boxes=whole.false_boxes,
         false_boxes_empty=whole.false_boxes_empty,
         operating_points=operating_points(by_share),
@@ -115,6 +119,12 @@ def _average_precision(matches: Matches, boxes: list[_Box], known: Mapping[_Box,
         pair_box=pair_box,
     )
     return quality_curve(by_box).average_precision
+
+
+def _calibration_error(matches: Matches, is_light: NDArray[np.bool_]) -> float:
+    if not matches.is_scored or is_light.all() or not is_light.any():
+        return math.nan
+    return expected_calibration_error(matches.scores, is_light)
 
 
 def _indices(values: list[int]) -> NDArray[np.intp]:

@@ -20,7 +20,7 @@ from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
 from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
-from foreglow.lab.studies.detector.models import file_digest
+from foreglow.lab.studies.detector.rows import file_digest
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone
