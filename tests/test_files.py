@@ -54,13 +54,18 @@ def _fail_inside(path: Path) -> None:
 def test_several_files_appear_together_or_none_of_them(tmp_path: Path) -> None:
     first, second = tmp_path / "first", tmp_path / "new" / "deep" / "second"
     first.write_bytes(b"old")
-    with pytest.raises(OSError, match="No space left"), together():
+
+    @together()
+    def fail_at_the_third() -> None:
         write_atomic(first, b"new")
         with together():  # a part of the whole
             make_folder(second.parent)
             write_atomic(second, b"new")
         assert first.read_bytes() == b"old"
         _fail_inside(tmp_path / "third")
+
+    with pytest.raises(OSError, match="No space left"):
+        fail_at_the_third()
     assert first.read_bytes() == b"old"
     assert [each.name for each in tmp_path.iterdir()] == ["first"]
     with together():
@@ -78,9 +83,14 @@ def test_several_files_appear_together_or_none_of_them(tmp_path: Path) -> None:
 
 def test_files_of_which_one_cannot_be_put_in_its_place(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
-    with pytest.raises(IsADirectoryError) as caught, together():
+
+    @together()
+    def write_all() -> None:
         for name in "abc":
             write_atomic(tmp_path / name, b"new")
+
+    with pytest.raises(IsADirectoryError) as caught:
+        write_all()
     assert caught.value.filename == str(tmp_path / "b")
     assert [each.name for each in tmp_path.iterdir()] == ["b"]
 
