@@ -8,6 +8,7 @@ import errno
 import fcntl
 import json
 import os
+import resource
 import subprocess
 import sys
 from enum import IntEnum, StrEnum
@@ -20,13 +21,16 @@ import pytest
 from pydantic import BaseModel
 
 from foreglow.files import (
+    MAX_LOCKS,
     atomic_path,
     fields_to_json,
     json_text,
+    make_folder,
     naming,
     open_atomic,
     read_text,
     to_json,
+    together,
     write_atomic,
     write_json_results,
 )
@@ -45,6 +49,71 @@ def _fail_inside(path: Path) -> None:
     with open_atomic(path) as file:
         file.write(b"half of the ne")
         raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_several_files_appear_together_or_none_of_them(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "new" / "deep" / "second"
+    first.write_bytes(b"old")
+
+    @together()
+    def fail_at_the_third() -> None:
+        write_atomic(first, b"new")
+        with together():  # a part of the whole
+            make_folder(second.parent)
+            write_atomic(second, b"new")
+        assert first.read_bytes() == b"old"
+        _fail_inside(tmp_path / "third")
+
+    with pytest.raises(OSError, match="No space left"):
+        fail_at_the_third()
+    assert first.read_bytes() == b"old"
+    assert [each.name for each in tmp_path.iterdir()] == ["first"]
+    with together():
+        write_atomic(first, b"earlier")
+        write_atomic(first, b"new")
+        make_folder(second.parent)
+        write_atomic(second, b"new")
+    assert {path.name: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == {
+        "first": b"new",
+        "second": b"new",
+    }
+    write_atomic(first, b"alone again")
+    assert first.read_bytes() == b"alone again"
+
+
+def test_files_of_which_one_cannot_be_put_in_its_place(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+
+    @together()
+    def write_all() -> None:
+        for name in "abc":
+            write_atomic(tmp_path / name, b"new")
+
+    with pytest.raises(IsADirectoryError) as caught:
+        write_all()
+    assert caught.value.filename == str(tmp_path / "b")
+    assert [each.name for each in tmp_path.iterdir()] == ["b"]
+
+
+def test_files_that_wait_for_others_are_locked(tmp_path: Path) -> None:
+    """Else a process on another machine, to which ours is none that lives, would take them for left over."""
+    with together():
+        write_atomic(tmp_path / "a", b"new")
+        (waiting,) = tmp_path.iterdir()
+        with waiting.open("rb") as file, pytest.raises(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def test_more_files_than_may_be_locked_at_a_time(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (MAX_LOCKS + 200, limits[1]))
+    try:
+        with together():
+            for number in range(MAX_LOCKS + 300):
+                write_atomic(tmp_path / str(number), b"new")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert len(list(tmp_path.iterdir())) == MAX_LOCKS + 300
 
 
 def test_an_error_names_the_file_and_not_the_temporary_one(tmp_path: Path) -> None:

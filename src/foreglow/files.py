@@ -20,6 +20,7 @@ import stat
 import threading
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any, AnyStr, BinaryIO, Protocol, runtime_checkable
 
@@ -29,6 +30,9 @@ from pydantic_core import from_json, to_jsonable_python
 
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
+
+MAX_LOCKS = 256
+"""Files of a block of `together` that stay locked until its end; more would use up the descriptors of a process."""
 
 _CLEARED: set[Path] = set()
 """Folders that this process has cleared of what killed processes left."""
@@ -101,11 +105,89 @@ def atomic_path(path: Path) -> Iterator[Path]:
             with temporary.open("wb") as held:
                 _try_lock(held)
                 yield temporary
-            temporary.replace(path)
+                block = _BLOCK.get()
+                if block is not None:
+                    block.add(path, temporary, held)
+            if block is None:
+                temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Has all files that this thread writes atomically in the block appear at its end, or none of them after an error.
+
+    Until then none can be read. A block within a block is a part of it.
+
+    Raises:
+        OSError: If one cannot be put in its place; the message names it.
+    """
+    if _BLOCK.get() is not None:
+        yield
+        return
+    block = _Block()
+    token = _BLOCK.set(block)
+    try:
+        yield
+        block.publish()
+    except BaseException:
+        block.discard()
+        raise
+    finally:
+        _BLOCK.reset(token)
+        block.release()
+
+
+def make_folder(path: Path) -> None:
+    """Makes a folder with its parents; those made in a block of `together` go again after an error.
+
+    Raises:
+        OSError: If it cannot be made; the message names it.
+    """
+    block = _BLOCK.get()
+    if block is not None:
+        block.folders += [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+
+
+class _Block:
+    """The files of a block of `together`, under their temporary names."""
+
+    def __init__(self) -> None:
+        self.folders: list[Path] = []
+        self._temporaries: dict[Path, Path] = {}
+        self._locks: list[int] = []
+
+    def add(self, path: Path, temporary: Path, locked: BinaryIO) -> None:
+        self._temporaries[path] = temporary
+        if len(self._locks) < MAX_LOCKS:
+            self._locks.append(os.dup(locked.fileno()))
+
+    def publish(self) -> None:
+        for path in self._temporaries:  # before any is replaced
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        for path, temporary in self._temporaries.items():
+            with naming(path, in_place_of=temporary):
+                temporary.replace(path)
+
+    def discard(self) -> None:
+        for temporary in self._temporaries.values():
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        for folder in sorted(self.folders, reverse=True):  # what is in a folder comes first
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+    def release(self) -> None:
+        for descriptor in self._locks:
+            os.close(descriptor)
+
+
+_BLOCK: ContextVar[_Block | None] = ContextVar("_BLOCK", default=None)
 
 
 def _clear(folder: Path) -> None:

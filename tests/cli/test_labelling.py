@@ -273,3 +273,26 @@ def test_images_without_points_and_doubtful_light_are_counted(tmp_path: Path) ->
         assert [word in result.stdout for word in words.values()] == [empty == 1, empty == 2]
         lights = f"{3 - empty} light{'s' if empty < 2 else ''}"
         assert f", {lights}{f', {doubtful} doubtful' if doubtful else ''}\n" in result.stdout
+
+
+def test_a_guess_for_images_of_another_source(run: Path, tmp_path: Path) -> None:
+    """Frames of the same number, size and times: nothing but the images themselves tells them apart."""
+    moved, other = (Path(shutil.copytree(shipped_drive(), tmp_path / name)) for name in ("moved", "other"))
+    frames = tmp_path / "frames.csv"
+    frames.write_text(
+        "frame\n" + "\n".join(str(result.frame) for result in next(iter(read_run(run).sequences.values())))
+    )
+    options = ("--run", run, "--frames", frames, "--format", "cvat", "--out", tmp_path / "guess.xml")
+    assert foreglow_command("labels", "export", moved, *options).exit_code == 0
+    image = next(path for path in (other / "images").rglob("*") if path.is_file())
+    cv2.imwrite(str(image), cv2.imread(str(image), cv2.IMREAD_GRAYSCALE) // 2)
+    assert "other: expected what " in complaint("labels", "export", other, *options)
+    summary = run / "summary.json"
+    before = summary.read_text()
+    summary.write_text(json.dumps(json.loads(before) | {"source_digest": None}))  # as of an earlier version
+    try:
+        said = foreglow_command("labels", "export", other, *options)
+    finally:
+        summary.write_text(before)
+    assert said.exit_code == 0, said.output
+    assert said.stdout.startswith(f"{other}: taken for what {run} was made from, which was {shipped_drive()}\n")

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import shipped_drive
+from foreglow.runs.summary_file import read_summary
 from foreglow.runtime.live import Paced
 from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
@@ -43,6 +44,23 @@ def test_replay_into_a_folder_and_onto_a_bus(tmp_path: Path) -> None:
         "faults": [],
     }
     assert {"capture", "queue", "beam", "send", "total"} <= summary["run_time_ms"].keys()
+
+
+@pytest.mark.parametrize("part", ["", "images/S00001"])
+def test_its_source_is_the_same_as_that_of_a_run(part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    split, out = shipped_drive(), tmp_path / "out"
+    monkeypatch.chdir(split.parents[1])
+    source = split.relative_to(Path.cwd()) / part
+    record = tmp_path / "drive.mcap"
+    live = ("live", source, "--speed", 0, "--limit", 2, "--out", out / "live", "--record", record)
+    assert foreglow_command(*live).exit_code == 0
+    assert foreglow_command("run", source, "--limit", 2, "--out", out / "run").exit_code == 0
+    first, second = (read_summary(out / name / "summary.json") for name in ("live", "run"))
+    assert first.source == second.source == str(split / part)
+    assert first.source_digest == second.source_digest is not None
+    assert str(split / part).encode() in record.read_bytes()
+    monkeypatch.chdir(tmp_path)
+    assert foreglow_command("beam", out / "live", "--out", out / "beam").exit_code == 0
 
 
 def test_results_are_those_of_beam(tmp_path: Path) -> None:

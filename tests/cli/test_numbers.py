@@ -46,6 +46,8 @@ def test_a_number_that_is_none_is_refused(text: str) -> None:
         assert result.exit_code == 2, name
         assert result.stderr.startswith("foreglow: "), name
         assert len(result.stderr.splitlines()) == 1, name
+        if text in ("nan", "inf", "-inf"):
+            assert f"expected a finite number, got {text}" in result.stderr, name
 
 
 def test_what_a_camera_may_be_asked_for() -> None:

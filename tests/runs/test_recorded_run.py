@@ -12,7 +12,8 @@ import pytest
 
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.frames_file import frame_to_line
-from foreglow.runs.recorded_run import read_run, source_of_run
+from foreglow.runs.origin import origin_digest
+from foreglow.runs.recorded_run import doubt_about_source, read_run, source_of_run
 from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
 from tests.stand_ins import REFERENCE, night_image, result_of, tracks_of
@@ -102,6 +103,27 @@ def test_where_a_run_had_its_frames(tmp_path: Path) -> None:
         source_of_run(write_run(tmp_path, [], source="/nowhere/at/all"))
     with pytest.raises(ValueError, match=r"summary\.json: source: expected a valid string"):
         source_of_run(write_run(tmp_path, [], source=3))
+
+
+def test_another_file_where_a_run_had_its_frames(tmp_path: Path) -> None:
+    source = tmp_path / "night.raw"
+    source.write_bytes(b"first")
+    run = write_run(tmp_path / "run", [], source=str(source), source_digest=origin_digest(source))
+    assert source_of_run(run) == source
+    moved = source.rename(tmp_path / "moved.raw")
+    source.write_bytes(b"other")
+    with pytest.raises(ValueError, match=r"summary\.json: source: .*night\.raw, what is there is not what the run was"):
+        source_of_run(run)
+    assert doubt_about_source(run, moved) is None
+    with pytest.raises(ValueError, match=r"^.*night\.raw: expected what .*run was made from"):
+        doubt_about_source(run, source)
+
+
+def test_doubt_about_a_source_that_nothing_tells_apart(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", [], source="/at/work/night.avi")
+    assert doubt_about_source(run, tmp_path / "night.avi") is None
+    words = f"{tmp_path / 'day.avi'}: taken for what {run} was made from, which was /at/work/night.avi"
+    assert doubt_about_source(run, tmp_path / "day.avi") == words
 
 
 def test_a_run_of_version_0_1_0() -> None:

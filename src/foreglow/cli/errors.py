@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import math
 import platform
 import re
 import sys
@@ -137,8 +138,11 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             line, code = "interrupted", INTERRUPTED
-        except (BrokenPipeError, typer.Exit, typer.Abort, _ClickException):
+        except (BrokenPipeError, typer.Exit, typer.Abort):
             raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
+        except _ClickException as error:
+            _name_what_is_not_finite(error)
+            raise
         except BaseException as error:
             if is_debug or not (isinstance(error, Exception) or raising(error)):
                 raise
@@ -146,6 +150,17 @@ class Commands(TyperGroup):
             line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
         _complain(line)
         raise typer.Exit(code)
+
+
+def _name_what_is_not_finite(error: Any) -> None:
+    """Has an error of usage say that NaN is no number, and not that it is above a limit."""
+    from pydantic import ValidationError
+
+    if isinstance(error.__cause__, ValidationError):
+        value = error.__cause__.errors()[0]["input"]
+        with contextlib.suppress(TypeError, ValueError):
+            if not math.isfinite(float(value)):
+                error.message = f"expected a finite number, got {value}"
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -63,7 +63,7 @@ def evaluate(
 
     import rich
 
-    from foreglow.files import to_json, write_json_results
+    from foreglow.files import to_json, together, write_json_results
     from foreglow.lab.reports.evaluation_page import examination_lines, write_report
 
     workers = work.workers()
@@ -76,20 +76,23 @@ def evaluate(
         examination = _examined_file(split, predictions, _threshold_of(predictions) if threshold is None else threshold)
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
-    if json_file is not None:
-        by_light = {"whose_light": examination.whose_light, "kinds": examination.kinds}
-        told = {name: found for name, found in by_light.items() if found is not None}
-        figures = to_json(examination.quality) | {"is_complete": examination.is_complete} | told
-        write_json_results(json_file, figures, indent=2)
     rich.print(_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if examination.kinds is not None:
         rich.print(_kinds_table(examination.kinds))
+    with together():
+        if json_file is not None:
+            by_light = {"whose_light": examination.whose_light, "kinds": examination.kinds}
+            told = {name: found for name, found in by_light.items() if found is not None}
+            figures = to_json(examination.quality) | {"is_complete": examination.is_complete} | told
+            write_json_results(json_file, figures, indent=2)
+        if out is not None:
+            paths = {"split": split, "predictions": predictions, "model": pipeline.model}
+            options = paths | {"preset": pipeline.preset, "config": pipeline.config}
+            given = {name: None if value is None else str(value) for name, value in options.items()}
+            page = write_report(examination, out, given | {"seed": seed})
     if out is not None:
-        paths = {"split": split, "predictions": predictions, "model": pipeline.model}
-        options = paths | {"preset": pipeline.preset, "config": pipeline.config}
-        given = {name: None if value is None else str(value) for name, value in options.items()}
-        typer.echo(f"look in {write_report(examination, out, given | {'seed': seed})}")
+        typer.echo(f"look in {page}")
 
 
 def _configuration(options: PipelineOptions, predictions: Path | None, threshold: float | None) -> PipelineConfig:

@@ -33,19 +33,24 @@ def export(
     from foreglow.datasets import exchange, open_labelled, open_source
     from foreglow.lab.learning.suggestion import read_suggestions
     from foreglow.runs.first_guess import read_guess
+    from foreglow.runs.recorded_run import doubt_about_source
 
     exchange.check_target(out, name)
     if name == "cvat-video" and frames is not None:
         raise ValueError("labels export: expected --format cvat for --frames; cvat-video has every frame of a drive")
     chosen = None if frames is None else read_suggestions(frames)
+    lines = []
     if run is None:
         found = exchange.labels_of(open_labelled(source), chosen)
     else:
-        found = exchange.guesses_of(open_source(source, on_error="mark"), read_guess(run), chosen)
+        frames_of_run = open_source(source, on_error="mark")
+        doubt = doubt_about_source(run, source)
+        lines += [] if doubt is None else [doubt]
+        found = exchange.guesses_of(frames_of_run, read_guess(run), chosen)
     lost = exchange.write_labels_file(out, found, name, is_guess=run is not None)
     if run is not None:
         say_lack(run)
-    typer.echo("\n".join([_counted(found), *exchange.lost_lines(lost), f"look at {out}"]))
+    typer.echo("\n".join([*lines, _counted(found), *exchange.lost_lines(lost), f"look at {out}"]))
 
 
 @labels.command("import")

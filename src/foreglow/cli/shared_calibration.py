@@ -36,10 +36,11 @@ def write_calibration(found: DriveCalibration, path: Path, picture: Path) -> Non
     """Writes the calibration as TOML, and a picture of horizon, vanishing point, grid and mask."""
     from foreglow.calibration import calibration_to_toml
     from foreglow.display.calibration_check import write_check
-    from foreglow.files import write_atomic
+    from foreglow.files import together, write_atomic
 
-    write_check(picture, found.camera, found.frame.image, found.frame.path, found.mask)
-    write_atomic(path, calibration_to_toml(found.camera).encode())
+    with together():
+        write_check(picture, found.camera, found.frame.image, found.frame.path, found.mask)
+        write_atomic(path, calibration_to_toml(found.camera).encode())
 
 
 def calibration_lines(found: DriveCalibration) -> list[str]:

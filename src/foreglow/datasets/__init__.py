@@ -36,7 +36,7 @@ from foreglow.datasets.pvdn.schema import (
     Weather,
 )
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.vehicle_data import Equipped, VehicleData, part_names, part_of
+from foreglow.datasets.vehicle_data import Equipped, VehicleData, origin_of, part_names, part_of
 from foreglow.datasets.video import Video
 
 __all__ = [
@@ -67,6 +67,7 @@ __all__ = [
     "download_pvdn",
     "open_labelled",
     "open_source",
+    "origin_of",
     "part_names",
     "part_of",
     "read_image",

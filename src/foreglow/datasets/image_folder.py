@@ -95,7 +95,7 @@ class ImageFolder(FileSource):
             FileNotFoundError: If `path` does not exist.
             ValueError: If the folder holds no image, or `rate_hz` is not a positive number.
         """
-        super().__init__(on_error)
+        super().__init__(path, on_error)
         self.path = Path(path)
         self.rate_hz = rate_hz
         if not 0 < rate_hz < float("inf"):

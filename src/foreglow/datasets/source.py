@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Literal, Protocol, TypeAlias, get_args
 
 from foreglow.types import Frame
@@ -42,19 +43,22 @@ class FileSource:
     """A source of frames from files, some of which may be bad.
 
     Attributes:
+        origin: The file or folder, as it was given.
         skipped: A line for each part that the latest iteration left out so far.
     """
 
+    origin: Path
     skipped: list[str]
 
-    def __init__(self, on_error: OnError) -> None:
-        """Takes what a bad frame does.
+    def __init__(self, origin: Path | str, on_error: OnError) -> None:
+        """Takes where the frames are, and what a bad one does.
 
         Raises:
             ValueError: If it is none of `OnError`, as Python callers may pass any string.
         """
         if on_error not in get_args(OnError):
             raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
+        self.origin = Path(origin)
         self.skipped = []
         self._on_error = on_error
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Protocol
 
 from foreglow.datasets.labelled import LabelledSource
-from foreglow.datasets.source import FrameSource
+from foreglow.datasets.source import FileSource, FrameSource
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
 
@@ -85,6 +86,13 @@ def equip(frame: Frame, data: VehicleData) -> Frame:
         road=data.road(frame) or frame.road,
         is_reported=frame.is_reported if is_reported is None else is_reported,
     )
+
+
+def origin_of(source: FrameSource) -> Path | None:
+    """The file or folder that `source` reads, as it was given; None for sources that are no `FileSource`."""
+    if isinstance(source, Equipped):
+        return origin_of(source.source)
+    return source.origin if isinstance(source, FileSource) else None
 
 
 def part_names(source: FrameSource) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ class Video(FileSource):
             ValueError: If it is empty, not a video, has no video stream or a size that is not accepted; with `stop`
                 also if the file is shorter than its container says.
         """
-        super().__init__(on_error)
+        super().__init__(path, on_error)
         self.path = Path(path)
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such video")

@@ -20,6 +20,7 @@ from foreglow.files import atomic_path, write_atomic
 from foreglow.outputs import RESULT_NAMES, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
+from foreglow.runs.origin import origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import Frame, FrameResult, TrackState
@@ -240,18 +241,40 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
     return frames
 
 
+def doubt_about_source(run: Path, source: Path) -> str | None:
+    """A line if nothing tells whether the run in `run` was made from `source`, and its name is another; else None.
+
+    Raises:
+        FileNotFoundError: If the run has no summary.
+        ValueError: If its summary is broken, or it was made from something else than what is at `source`.
+    """
+    summary = read_summary(run / "summary.json")
+    digests = origin_digest(source), summary.source_digest
+    if None not in digests:
+        if digests[0] != digests[1]:
+            raise ValueError(f"{source}: expected what {run} was made from, {summary.source}, got something else")
+        return None
+    is_named_so = source.absolute().name == Path(summary.source).name
+    return None if is_named_so else f"{source}: taken for what {run} was made from, which was {summary.source}"
+
+
 def source_of_run(run: Path) -> Path:
     """Where the frames of the run in the folder `run` are, by its `summary.json`.
 
     Raises:
         FileNotFoundError: If it has no summary, or the frames are no longer where they were.
-        ValueError: If the summary is broken.
+        ValueError: If the summary is broken, or another file or other images are there now.
     """
     path = run / "summary.json"
-    source = Path(read_summary(path).source)
+    summary = read_summary(path)
+    source = Path(summary.source)
     if not exists(source):
         raise FileNotFoundError(
             f"{path}: source: expected the run's frames, there is nothing at {source}; where they are elsewhere now, "
             f"give them in place of {run}, with --config {run / 'config.toml'}"
+        )
+    if summary.source_digest is not None and origin_digest(source) != summary.source_digest:
+        raise ValueError(
+            f"{path}: source: expected the run's frames at {source}, what is there is not what the run was made from"
         )
     return source

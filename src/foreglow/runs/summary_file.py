@@ -52,6 +52,7 @@ class RunSummary(_Strict):
 
     Attributes:
         source: Where the frames came from: an absolute path, or what the user gave.
+        source_digest: As `origin_digest` of that path; None where there is no file, and in folders of earlier versions.
         is_complete: False if the run, or the one whose results it takes, was interrupted; the results until then are
             kept.
         is_classified: Whether a model scored the proposals.
@@ -78,6 +79,7 @@ class RunSummary(_Strict):
     """
 
     source: str
+    source_digest: str | None = None
     is_complete: bool
     is_classified: bool
     num_frames: int

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.config import PipelineConfig
-from foreglow.outputs import exists, running_command
+from foreglow.outputs import running_command
 from foreglow.provenance import checkout_state, processor_name
+from foreglow.runs.origin import full_name, origin_digest
 from foreglow.runs.summary_file import BeamSummary, RunSummary, RunTime
 from foreglow.types import BeamMode, Frame, FrameResult, Tracks
 
@@ -123,9 +124,11 @@ class Tally:
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
         commit, has_local_changes = checkout_state()
+        name = full_name(source)
         run_times = {name: run_time(times.values) for name, times in self._stage_ms.items()}
         return RunSummary(
-            source=str(Path(source).absolute()) if exists(Path(source)) else source,
+            source=name,
+            source_digest=origin_digest(Path(name)),
             is_complete=is_complete,
             is_classified=is_classified,
             num_frames=self.num_frames,

@@ -16,6 +16,7 @@ from foreglow.parallel import Parent, Workers
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
 from foreglow.runs.folder import OutputFolder, part_sinks
+from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.runtime.run import InterruptFlag, ResultSink, check_readable, step_through
@@ -95,7 +96,7 @@ def run_apart(
         folder: Where the results go; every worker writes into it.
         workers: They run the sequences.
         progress: Called with the name of a sequence and the number of its frames that are done.
-        source_name: Name of the source in the summary; empty takes its own name.
+        source_name: Name of the source in the summary; empty takes its path, or else its own name.
 
     Raises:
         ChildProcessError: If a sequence cost several processes; the message names it.
@@ -106,7 +107,7 @@ def run_apart(
     """
     with folder:
         source = opening()
-        name, parts = source_name or source.name, folder.make_parts()
+        name, parts = source_name or origin_name(source), folder.make_parts()
         sequences = {sequence or source.name: sequence for sequence in part_names(source)}
         work = functools.partial(_run_part, opening, config, parts)
         paths = (parts, *opening.paths)

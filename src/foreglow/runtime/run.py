@@ -19,6 +19,7 @@ from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource
 from foreglow.runs.folder import OutputFolder
+from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
@@ -123,7 +124,7 @@ def run(
         folder: Where the results go; sinks that write files write to its `partial` paths. None: only to the sinks.
         sinks: They get the results, too.
         limit: Stop after this many frames; None runs all of them.
-        source_name: Name of the source in the summary; empty takes its own name.
+        source_name: Name of the source in the summary; empty takes its path, or else its own name.
         origin: The earlier run whose results `pipeline` takes; what that lacks, this run lacks, too.
 
     Raises:
@@ -131,7 +132,7 @@ def run(
             be read; with an `origin` also if the source has fewer than `limit` frames.
         OSError: If a result cannot be written; the message names the path.
     """
-    tally, name = Tally(), source_name or source.name
+    tally, name = Tally(), source_name or origin_name(source)
     all_sinks = list(sinks)
     with folder or contextlib.nullcontext(), _discarding(all_sinks):
         if folder is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -151,7 +152,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     [
         (".asc", "expected frames of StreetSegment"),  # whose reader passes over what it does not know
         (".blf", r"expected a CAN log of the kind \.blf"),
-        (".log", r"expected a CAN log of the kind \.log"),
+        (".log", r"line 1: expected a frame as a CAN log of the kind \.log has it, got '.*this is no log at all'"),
     ],
 )
 def test_broken_logs(tmp_path: Path, suffix: str, expected: str) -> None:
@@ -161,6 +162,75 @@ def test_broken_logs(tmp_path: Path, suffix: str, expected: str) -> None:
     path.write_bytes(b"\x00\xffthis is no log at all\n" * 20)
     with pytest.raises(ValueError, match=rf"drive\{suffix}: {expected}"):
         read_can_log(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
+def test_a_blf_that_is_cut(share: float, tmp_path: Path, drive: list[tuple[int, StreetMessage]]) -> None:
+    path = tmp_path / "drive.blf"
+    write_can_log(path, drive)
+    data = path.read_bytes()
+    num_missing = max(1, round(share * len(data)))
+    path.write_bytes(data[:-num_missing])
+    with pytest.raises(
+        ValueError, match=rf"drive\.blf: truncated CAN log, {num_missing} bytes are missing at the end$"
+    ):
+        read_can_log(path)
+    unstated = bytearray(data[: -max(num_missing, 8)])  # the last bytes are padding
+    unstated[16:24] = bytes(8)  # of a recorder that was killed
+    path.write_bytes(unstated)
+    with pytest.raises(ValueError, match=r"drive\.blf: byte \d+: truncated CAN log, its last object is not whole$"):
+        read_can_log(path)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "expected"),
+    [
+        (0, 1, "expected a CAN log of the kind .blf, which begins with LOGG"),
+        (144, 145, "byte 144: expected an object, which begins with LOBJ"),
+        (300, 400, "byte 144: expected a container that can be unpacked, it is damaged"),
+    ],
+)
+def test_a_damaged_blf(
+    begin: int, end: int, expected: str, tmp_path: Path, drive: list[tuple[int, StreetMessage]]
+) -> None:
+    path = tmp_path / "drive.blf"
+    write_can_log(path, drive)
+    data = bytearray(path.read_bytes())
+    data[begin:end] = bytes(end - begin)
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=rf"drive\.blf: {re.escape(expected)}$"):
+        read_can_log(path)
+
+
+@pytest.mark.parametrize(
+    "line", ["(1.0) can0", "no frame", "(nan) can0 3A1#00", "(x) can0 3A1#00", "(1.0) can0 3A1#0g"]
+)
+def test_a_broken_line_is_named(line: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    write_can_log(path, [(0, message())])
+    num_lines = len(path.read_text().splitlines())
+    with path.open("a") as file:
+        file.write(f"{line}\n")
+    with pytest.raises(
+        ValueError, match=rf"drive\.log: line {num_lines + 1}: expected (a|the time of a) frame"
+    ) as error:
+        read_can_log(path)
+    assert not re.search("unpack|convert|literal|integer", str(error.value))
+
+
+@pytest.mark.parametrize("begin_ns", [0, 1_700_000_000_000_000_000])
+def test_every_kind_of_log_says_the_same_of_a_frame(begin_ns: int, tmp_path: Path) -> None:
+    """Messages at the very times of frames, at 18 Hz: text rounds them to microseconds, upwards or downwards."""
+    times_ns = [begin_ns + round(k * 1e9 / 18) for k in range(90)]
+    motions = [(time_ns, EgoMotion(10.0 + 0.1 * k, 0.0)) for k, time_ns in enumerate(times_ns)]
+    for suffix in SUFFIXES if begin_ns == 0 else (".blf", ".log"):
+        path = tmp_path / f"drive{suffix}"
+        write_can_log(path, [], motions)
+        log = read_can_log(path)
+        for time_ns, motion in motions:
+            found = log.motion(time_ns)
+            assert found is not None
+            assert found.speed_mps == pytest.approx(motion.speed_mps), (suffix, time_ns)
 
 
 def test_a_log_of_another_bus(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ class Recording(FileSource):
             ModuleNotFoundError: If it is compressed, and the extra `recordings` is not installed.
             ValueError: If it is not a recording, has no such topic with images, or, with `stop`, lacks its end.
         """
-        super().__init__(on_error)
+        super().__init__(path, on_error)
         self.path = Path(path)
         self._container = _opened(self.path)
         if self._container.truncation and on_error == "stop":

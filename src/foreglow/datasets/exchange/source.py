@@ -52,7 +52,7 @@ class LabelFile(LabelledSource):
             FileNotFoundError: If there is no such file, or the images are not there.
             ValueError: If it cannot be used.
         """
-        super().__init__(on_error)
+        super().__init__(path, on_error)
         self.path = Path(path)
         self.root = self.path.parent
         self.labels: LabelSet = read_labels_file(self.path)

@@ -108,7 +108,7 @@ class PVDN(LabelledSource):
             ValueError: If a label file is broken, they contradict each other, a selected scene does not exist, or there
                 are several splits.
         """
-        super().__init__(on_error)
+        super().__init__(root, on_error)
         folder = Path(root)
         if not folder.is_dir():
             raise FileNotFoundError(f"{folder}: no such folder, expected a PVDN split or sequence")

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 from foreglow.config import read_toml, validated
 from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
-from foreglow.files import MIB, bounded_lines, check_file, read_text
+from foreglow.files import MIB, bounded_lines, check_file, read_text, shortened
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 
 if TYPE_CHECKING:
+    import can
     from cantools.database.can import Database, Message
 
 STREET_STALE_S = 1.0
@@ -28,6 +29,9 @@ STREET_STALE_S = 1.0
 
 MOTION_STALE_S = 0.5
 """Older speeds, yaw rates and reports of the production system are not used."""
+
+RESOLUTION_NS = 1000
+"""Logs in text round times to a microsecond: a message that came with a frame may seem to come after it."""
 
 MAX_DBC_BYTES = 4 * MIB
 """Largest DBC: it takes 100 times its size while it is read, and 3 s for each MiB."""
@@ -51,6 +55,8 @@ MAX_OBJECT_BYTES = 1 << 24
 """Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
 
 _BLF_CONTAINER = 10
+_FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
+_MIN_BLF_BYTES = 144  # of the file's header
 _OBJECT_HEAD = 16  # bytes: signature, size of the header, version, size and kind of the object
 
 LOG_SUFFIXES = (".asc", ".blf", ".log")
@@ -65,7 +71,7 @@ CanKey: TypeAlias = tuple[int, bool]
 
 
 class Latest(Generic[Value]):
-    """Values over time, of which the latest counts.
+    """Values over time, of which the latest counts, to `RESOLUTION_NS`.
 
     Attributes:
         times_ns: Their times, never falling.
@@ -85,7 +91,7 @@ class Latest(Generic[Value]):
 
     def at(self, timestamp_ns: int) -> Value | None:
         """The latest value at or before a time; None where there is none, or it is stale."""
-        index = bisect_right(self.times_ns, timestamp_ns) - 1
+        index = bisect_right(self.times_ns, timestamp_ns + RESOLUTION_NS) - 1
         if index < 0 or timestamp_ns - self.times_ns[index] > self.stale_s * 1e9:
             return None
         return self.values[index]
@@ -313,7 +319,6 @@ class CanDecoder:
 
 def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, bytes]]:
     import can
-    from can.io.blf import BLFParseError
 
     readers: dict[str, Any] = dict(
         zip(LOG_SUFFIXES, (can.ASCReader, can.BLFReader, can.CanutilsLogReader), strict=True)
@@ -323,49 +328,103 @@ def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, byt
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
     check_file(path, MAX_LOG_BYTES)
     found = []
-    try:
-        if reader is can.BLFReader:
-            _check_objects(path)
-        # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
-        opened: Any = path.open("rb") if reader is can.BLFReader else _TextLog(path)
-        with opened as file, reader(file) as log:
-            for frame in log:
-                key = frame.arbitration_id, bool(frame.is_extended_id)
-                if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
-                    found.append((round(frame.timestamp * 1e9), key, bytes(frame.data)))
-                if len(found) > MAX_LOG_FRAMES:
-                    raise ValueError(f"at most {MAX_LOG_FRAMES} frames of interest, got more")
-    # The documentation does not say what python-can's readers raise for a broken file.
-    except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError) as error:
-        raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}: {error}") from None
+    if reader is can.BLFReader:
+        _check_objects(path)
+    # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
+    opened: Any = path.open("rb") if reader is can.BLFReader else _TextLog(path)
+    with opened as file:
+        for frame in _read_frames(reader, file, path):
+            key = frame.arbitration_id, bool(frame.is_extended_id)
+            if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
+                if not math.isfinite(frame.timestamp):
+                    raise ValueError(f"{_where(file, path)}: expected the time of a frame, got {frame.timestamp}")
+                found.append((round(frame.timestamp * 1e9), key, bytes(frame.data)))
+            if len(found) > MAX_LOG_FRAMES:
+                raise ValueError(f"{path}: expected at most {MAX_LOG_FRAMES} frames of interest, got more")
     return found
 
 
+def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
+    """The frames of a log, as python-can reads them."""
+    from can.io.blf import BLFParseError
+
+    try:
+        with reader(file) as log:
+            yield from log
+    # The documentation does not say what python-can's readers raise for a broken file.
+    except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError):
+        if isinstance(file, _TextLog) and not file.is_too_long:
+            got = shortened(file.line.strip())
+            words = f"expected a frame as a CAN log of the kind {path.suffix} has it, got {got}"
+            raise ValueError(f"{_where(file, path)}: {words}") from None
+        if isinstance(file, _TextLog):
+            raise
+        raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}, it is damaged") from None
+
+
+def _where(file: Any, path: Path) -> str:
+    return f"{path}: line {file.number}" if isinstance(file, _TextLog) else str(path)
+
+
 class _TextLog(io.TextIOWrapper):
+    """The lines of a log in text.
+
+    Attributes:
+        line: The latest.
+        number: Its number, from 1 on.
+        is_too_long: Whether the line after it is.
+    """
+
     def __init__(self, path: Path) -> None:
         super().__init__(path.open("rb"), encoding="latin-1")
         lines: Any = super()
         self._lines: Iterator[str] = bounded_lines(lines, path, MAX_LOG_LINE_BYTES)
+        self.line, self.number, self.is_too_long = "", 0, False
 
     def __next__(self) -> str:  # type: ignore[override]  # typeshed has bytes there, for all files
-        return next(self._lines)
+        try:
+            self.line = next(self._lines)
+        except ValueError:
+            self.is_too_long = True
+            raise
+        self.number += 1
+        return self.line
 
 
 def _check_objects(path: Path) -> None:
-    """ValueError if an object of a .blf has a size that cannot be; python-can (can.io.blf) takes whatever there is."""
+    """Checks that a .blf is whole, and its objects of sizes that can be; python-can (can.io.blf) takes what there is.
+
+    Raises:
+        ValueError: If it is not; the message says at which byte.
+    """
+    num_bytes = path.stat().st_size
     with path.open("rb") as file:
-        header_size = int.from_bytes(file.read(8)[4:], "little")
-        _check_object(header_size, "header")
+        head = file.read(_FILE_HEAD)
+        if head[:4] != b"LOGG"[: len(head)]:
+            raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}, which begins with LOGG")
+        header_size, stated = struct.unpack_from("<I8xQ", head.ljust(_FILE_HEAD, b"\0"), 4)
+        if num_bytes < max(stated, _MIN_BLF_BYTES):  # one that is still written to states less
+            missing = max(stated, _MIN_BLF_BYTES) - num_bytes
+            raise ValueError(f"{path}: truncated CAN log, {missing} bytes are missing at the end")
+        _check_object(header_size, f"{path}: header")
         file.seek(header_size)
         rest = b""
-        while len(head := file.read(_OBJECT_HEAD)) == _OBJECT_HEAD:
-            origin = f"byte {file.tell() - _OBJECT_HEAD}"
+        while head := file.read(_OBJECT_HEAD):
+            origin = f"{path}: byte {file.tell() - len(head)}"
+            if head[:4] != b"LOBJ"[: len(head)]:
+                raise ValueError(f"{origin}: expected an object, which begins with LOBJ")
+            if len(head) < _OBJECT_HEAD:
+                raise ValueError(f"{origin}: truncated CAN log, its last object is not whole")
             size, kind = struct.unpack_from("<II", head, 8)
             _check_object(size, origin)
             data = file.read(size - _OBJECT_HEAD)
+            if len(data) < size - _OBJECT_HEAD:
+                raise ValueError(f"{origin}: truncated CAN log, its last object is not whole")
             file.seek(size % 4, 1)
             if kind == _BLF_CONTAINER:
                 rest = _after_objects(rest + _unpacked(data, origin), origin)
+        if rest.strip(b"\0"):
+            raise ValueError(f"{path}: truncated CAN log, the last object in its last container is not whole")
 
 
 def _check_object(size: int, origin: str) -> None:
@@ -374,14 +433,17 @@ def _check_object(size: int, origin: str) -> None:
 
 
 def _unpacked(data: bytes, origin: str) -> bytes:
-    """What is in a container; nothing where it is damaged, as the reader will say so."""
+    """What is in a container."""
     if data[:2] != b"\2\0":  # not deflated
         return data[16:]
+    inflating = zlib.decompressobj()
     try:
-        unpacked = zlib.decompressobj().decompress(data[16:], MAX_OBJECT_BYTES + 1)
+        unpacked = inflating.decompress(data[16:], MAX_OBJECT_BYTES + 1)
     except zlib.error:
-        return b""
+        raise ValueError(f"{origin}: expected a container that can be unpacked, it is damaged") from None
     _check_object(max(len(unpacked), _OBJECT_HEAD), f"{origin}: unpacked")
+    if not inflating.eof:
+        raise ValueError(f"{origin}: expected a container that can be unpacked, its end is missing")
     return unpacked
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, Sequence
-from foreglow.files import write_atomic
+from foreglow.files import make_folder, together, write_atomic
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
@@ -67,7 +67,7 @@ def export_mot(
 ) -> None:
     """Writes the lights and the tracks of `dataset` into `folder`, as the module says, without sequences without light.
 
-    Nothing is written unless all of it can be used. `origin` names the run in messages.
+    Nothing is written unless all of it can be used and written. `origin` names the run in messages.
 
     Raises:
         FileNotFoundError: If a label file is missing.
@@ -91,9 +91,10 @@ def export_mot(
             files[folder / "trackers" / name / "data" / f"{sequence.directory}.txt"] = rows
     if not files:
         raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
-    for path, text in files.items():  # once all is known to be sound
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, text.encode())
+    with together():
+        for path, text in files.items():  # once all is known to be sound
+            make_folder(path.parent)
+            write_atomic(path, text.encode())
 
 
 def score_mot(folder: Path, name: str = "foreglow") -> MotScores:

@@ -12,7 +12,7 @@ import numpy as np
 
 from foreglow.datasets import open_source
 from foreglow.datasets.json_files import read_lines
-from foreglow.files import MAX_TEXT_BYTES, read_bytes, shortened, write_atomic
+from foreglow.files import MAX_TEXT_BYTES, read_bytes, shortened, together, write_atomic
 from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, nearest_profile
 from foreglow.runs.recorded_run import RecordedRun, source_of_run
 from foreglow.types import FrameResult
@@ -162,7 +162,7 @@ def suggestions_text(suggestions: Iterable[Suggestion]) -> str:
 
 
 def write_suggestions(texts: Mapping[Path, str]) -> None:
-    """Writes each text to its file, all or, before any is written, none.
+    """Writes each text to its file, all or none.
 
     Raises:
         ValueError: If a file is there that differs: somebody may have chosen frames in it.
@@ -174,8 +174,9 @@ def write_suggestions(texts: Mapping[Path, str]) -> None:
                 f"{path}: expected nothing there, or the same suggestions: it has others, or was edited; rename or "
                 "remove it"
             )
-    for path, text in texts.items():
-        write_atomic(path, text.encode())
+    with together():
+        for path, text in texts.items():
+            write_atomic(path, text.encode())
 
 
 def read_suggestions(path: Path) -> frozenset[int]:

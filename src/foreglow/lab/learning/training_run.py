@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
-from foreglow.files import write_atomic, write_json_results
+from foreglow.files import together, write_atomic, write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
@@ -99,10 +99,11 @@ def sample_counts(samples: Samples) -> dict[str, int]:
 def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: Mapping[str, Any]) -> dict[str, Any]:
     """Writes the recipe, the configuration with the new model, and `summary.json`, whose content is returned."""
     summary = {**provenance(), **about, "recipe": recipe.model_dump(mode="json")}
-    write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
     used = config.classifier.model_copy(update={"model": folder / MODEL, "support": recipe.inputs.support})
-    write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
-    write_json_results(folder / SUMMARY, summary, indent=2)
+    with together():
+        write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
+        write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
+        write_json_results(folder / SUMMARY, summary, indent=2)
     return summary
 
 

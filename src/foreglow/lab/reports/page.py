@@ -13,7 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from foreglow.files import to_json, write_atomic, write_json_results
+from foreglow.files import make_folder, to_json, together, write_atomic, write_json_results
 from foreglow.outputs import running_command
 from foreglow.provenance import provenance
 
@@ -235,7 +235,7 @@ class Page:
         made_with: Mapping[str, Any] | None = None,
         files: Mapping[str, bytes | str] | None = None,
     ) -> Path:
-        """Writes the page and, into the same folder, which is made if need be, all that belongs beside it.
+        """Writes the page and, into the same folder, which is made if need be, all that belongs beside it, or nothing.
 
         Args:
             path: Of the page; written as Markdown if its suffix is `.md`, else as HTML.
@@ -244,20 +244,21 @@ class Page:
             files: Other files by name.
 
         Returns:
-            `path`, which is written last.
+            `path`.
 
         Raises:
             OSError: If a file cannot be written.
         """
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if results is not None:
-            origin = {**provenance(), "command": running_command(), **(made_with or {})}
-            record = {"made_with": origin, **to_json(results)}
-            write_json_results(path.parent / "results.json", record)
         beside = {figure.file: figure.data for figure in self._figures if figure.file}
         text = self.markdown() if path.suffix == ".md" else self.html()
-        for name, data in {**beside, **(files or {}), path.name: text}.items():
-            write_atomic(path.parent / name, data.encode() if isinstance(data, str) else data)
+        with together():
+            make_folder(path.parent)
+            if results is not None:
+                origin = {**provenance(), "command": running_command(), **(made_with or {})}
+                record = {"made_with": origin, **to_json(results)}
+                write_json_results(path.parent / "results.json", record)
+            for name, data in {**beside, **(files or {}), path.name: text}.items():
+                write_atomic(path.parent / name, data.encode() if isinstance(data, str) else data)
         return path
 
     def _add(self, markdown: str, its_html: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from foreglow.files import write_atomic, write_json_results
+from foreglow.files import together, write_atomic, write_json_results
 from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number
@@ -42,9 +42,10 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
         OSError: If a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(folder / "best.toml", _best_toml(tuning).encode())
-    write_atomic(folder / "trials.csv", _trials(tuning).csv().encode())
-    write_json_results(folder / "summary.json", provenance() | _summary(tuning))
+    with together():
+        write_atomic(folder / "best.toml", _best_toml(tuning).encode())
+        write_atomic(folder / "trials.csv", _trials(tuning).csv().encode())
+        write_json_results(folder / "summary.json", provenance() | _summary(tuning))
     if not tuning.importances:
         (folder / "importance.png").unlink(missing_ok=True)
     return _page(tuning).write(folder / "report.md")

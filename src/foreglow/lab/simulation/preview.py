@@ -12,7 +12,7 @@ from foreglow.datasets.simulated import Artifact, VehicleTruth
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
-from foreglow.files import atomic_path, write_atomic
+from foreglow.files import atomic_path, together, write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.writing.dataset import Progress
 
@@ -56,21 +56,22 @@ def preview(
     sheet, film = folder / "contact_sheet.png", folder / "drive.mp4"
     tone: Tone | None = None
     tiles: list[Picture] = []
-    with atomic_path(film) as temporary:
-        movie = Movie(temporary, rate_hz)
-        try:
-            for number, known in enumerate(frames):
-                tone = tone or Tone.of(known.frame.image)
-                picture = labelled(known, tone)
-                movie.add(picture, known.frame.timestamp_ns)
-                if progress is not None:
-                    progress(1, number + 1, num_frames)
-                if number in shown:
-                    tiles.append(picture)
-            movie.close()
-        finally:
-            movie.discard()
-    write_atomic(sheet, cv2.imencode(".png", contact_sheet(tiles))[1].tobytes())
+    with together():
+        with atomic_path(film) as temporary:
+            movie = Movie(temporary, rate_hz)
+            try:
+                for number, known in enumerate(frames):
+                    tone = tone or Tone.of(known.frame.image)
+                    picture = labelled(known, tone)
+                    movie.add(picture, known.frame.timestamp_ns)
+                    if progress is not None:
+                        progress(1, number + 1, num_frames)
+                    if number in shown:
+                        tiles.append(picture)
+                movie.close()
+            finally:
+                movie.discard()
+        write_atomic(sheet, cv2.imencode(".png", contact_sheet(tiles))[1].tobytes())
     return sheet, film
 
 

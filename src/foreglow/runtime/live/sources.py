@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
 from foreglow.datasets import FrameSource
+from foreglow.runs.origin import origin_name
 from foreglow.types import BeamCommand, Frame
 
 START_S = 120.0
@@ -81,7 +82,7 @@ class Paced:
         if not speed > 0:
             raise ValueError(f"speed: expected a positive number, got {speed}")
         self._source = source
-        self.name, self.rate_hz, self.num_frames = source.name, source.rate_hz, source.num_frames
+        self.name, self.rate_hz, self.num_frames = origin_name(source), source.rate_hz, source.num_frames
         self.speed, self.is_lossless = speed, math.isinf(speed)
         self._first_ns, self._start_ns = 0, time.monotonic_ns()
         if self.is_lossless:

@@ -17,6 +17,7 @@ from foxglove.mcap import MCAPWriteOptions
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import in_unicode
 from foreglow.outputs import check_replaceable, lock, partial_path
+from foreglow.runs.origin import full_name
 
 
 class GrowingFile:
@@ -126,7 +127,7 @@ class RecordingFile:
         Args:
             path: The file's final name.
             config: The pipeline's configuration, kept in the recording's metadata.
-            source_name: The name of the frames' source, kept likewise.
+            source_name: The name of the frames' source, kept likewise; a path is kept in full.
             profile: MCAP's name for what the messages are; empty for no certain one.
 
         Raises:
@@ -151,7 +152,7 @@ class RecordingFile:
                 disable_seeking=True,  # a chunk is written whole
             ),
         )
-        texts = {"version": metadata.version("foreglow"), "source": in_unicode(source_name)}
+        texts = {"version": metadata.version("foreglow"), "source": in_unicode(full_name(source_name))}
         self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
         self._chunk_start_ns: int | None = None
         self._is_open = True

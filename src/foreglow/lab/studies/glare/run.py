@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_config
 from foreglow.datasets.simulated.files import sequence_name
-from foreglow.files import read_plain_json, write_atomic, write_json_results
+from foreglow.files import read_plain_json, together, write_atomic, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
 from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
@@ -180,8 +180,9 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
                 raise ValueError(f"{file}: {kind}: expected {other} as it was here before; choose another folder")
             digests |= before
     about |= {"models": files, "scenes": scenes}
-    write_json_results(file, about | provenance(), indent=2)
-    write_atomic(folder / "config.toml", config_to_toml(config).encode())
+    with together():
+        write_json_results(file, about | provenance(), indent=2)
+        write_atomic(folder / "config.toml", config_to_toml(config).encode())
 
 
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:

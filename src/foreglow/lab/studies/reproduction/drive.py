@@ -12,7 +12,7 @@ import numpy as np
 from foreglow.beam.policy import brightness
 from foreglow.config import PipelineConfig
 from foreglow.datasets import open_labelled
-from foreglow.files import write_atomic, write_json_results
+from foreglow.files import together, write_atomic, write_json_results
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation import Predictions, read_split_labels
 from foreglow.lab.evaluation.boxes.lights import Light
@@ -58,27 +58,28 @@ def run_drive(split: Path, config: PipelineConfig, folder: Path, progress: Progr
     if story is None:
         raise ValueError(f"{dataset.root}: expected a vehicle whose light is annotated, found none")
     frames = [dataset.read(moment.light.image_id) for moment in story.moments.values()]
-    write_moments(folder / "moments.png", story, frames, predictions, threshold)
-    write_moments(folder / "states.png", story, frames, predictions, threshold, STATES)
-    shown = dataset.read((story.found or story.light).light.image_id)
-    detector = Pipeline(config.detector_only)
-    write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
-    if shown.camera is not None and shown.road is not None:
-        write_atomic(folder / "road.png", road_picture(shown))
-    light_s = story.times.light_s
-    times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
-    record: dict[str, Any] = {
-        "sequence": story.sequence,
-        **{name: time_s - light_s for name, time_s in times.items()},
-        "brightest": {"num": len(on_lamps), "share": share(on_lamps)},
-    }
-    if story.found is not None:
-        record["found_lights"] = _lights_found(story.found, lights, predictions, threshold)
-    opening = story.seen.get(story.gap_s)
-    if opening is not None and story.gaps_rad:
-        frame = dataset.read(opening.light.image_id)
-        record["gap"] = _gap(frame, opening, story.gaps_rad[story.gap_s], predictions)
-    write_json_results(folder / "results.json", {"made_with": provenance(), **record})
+    with together():
+        write_moments(folder / "moments.png", story, frames, predictions, threshold)
+        write_moments(folder / "states.png", story, frames, predictions, threshold, STATES)
+        shown = dataset.read((story.found or story.light).light.image_id)
+        detector = Pipeline(config.detector_only)
+        write_atomic(folder / "stages.png", stage_picture(shown, detector.step(shown), detector.config))
+        if shown.camera is not None and shown.road is not None:
+            write_atomic(folder / "road.png", road_picture(shown))
+        light_s = story.times.light_s
+        times = {"found_s": story.times.found_s, "confirmed_s": story.confirmed_s, "production_s": story.production_s}
+        record: dict[str, Any] = {
+            "sequence": story.sequence,
+            **{name: time_s - light_s for name, time_s in times.items()},
+            "brightest": {"num": len(on_lamps), "share": share(on_lamps)},
+        }
+        if story.found is not None:
+            record["found_lights"] = _lights_found(story.found, lights, predictions, threshold)
+        opening = story.seen.get(story.gap_s)
+        if opening is not None and story.gaps_rad:
+            frame = dataset.read(opening.light.image_id)
+            record["gap"] = _gap(frame, opening, story.gaps_rad[story.gap_s], predictions)
+        write_json_results(folder / "results.json", {"made_with": provenance(), **record})
 
 
 def chosen_story(stories: Sequence[Story]) -> Story | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from foreglow.files import write_atomic
+from foreglow.files import make_folder, together, write_atomic
 from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.reproduction.claims import (
@@ -142,9 +142,10 @@ def write_page(plan: ReproductionPlan, outcomes: Mapping[str, Outcome], out: Pat
         "verdicts": Counter(result.verdict for result in found),
         "claims": [_record(result) for result in found],
     }
-    (out / FIGURES).mkdir(parents=True, exist_ok=True)
-    page.write(out / "report.html", results=record)
-    write_atomic(out / "report.md", page.markdown().encode())
+    with together():
+        make_folder(out / FIGURES)
+        page.write(out / "report.html", results=record)
+        write_atomic(out / "report.md", page.markdown().encode())
     return out / "report.html"
 
 
