@@ -17,7 +17,7 @@ from foreglow import read_config
 from foreglow.config import BeamConfig
 from foreglow.datasets import shipped_drive
 from foreglow.photometry.headlamps import SHIPPED
-from tests.cli.commands import RESULTS, complaint, foreglow_command, names
+from tests.cli.commands import RESULTS, complaint, foreglow_command, names, without_digest
 
 NUM_FRAMES = 24
 LIMIT = ("--limit", NUM_FRAMES)
@@ -137,6 +137,9 @@ def test_a_run_whose_frames_are_no_longer_all_there(
     command = ("run", there, "--out", tmp_path / "run", *equipment)
     assert foreglow_command(*command).exit_code == 0
     max(there.iterdir()).unlink()
+    said = complaint("beam", tmp_path / "run", "--out", tmp_path / "out", *equipment)
+    assert "images, what is there is not what the run was made from" in said
+    without_digest(tmp_path / "run")
     said = complaint("beam", tmp_path / "run", "--out", tmp_path / "out", *equipment)
     assert "images: expected the 12 frames of the run, there are 11 now" in said
     assert not (tmp_path / "out").exists()

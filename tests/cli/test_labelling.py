@@ -13,7 +13,7 @@ import pytest
 
 from foreglow.datasets import open_labelled, shipped_drive
 from foreglow.runs.recorded_run import read_run
-from tests.cli.commands import complaint, foreglow_command
+from tests.cli.commands import complaint, foreglow_command, without_digest
 from tests.datasets.tiny_pvdn import make_pvdn
 
 
@@ -90,8 +90,13 @@ def test_bad_arguments_are_one_line(run: Path, tmp_path: Path) -> None:
     listed.write_text("frame\n99\n")
     assert "expected images of the data set, got 99" in complaint(*export, out, "--frames", listed)
     assert "cvat-video has every frame" in complaint(*export, out, "--frames", listed, "--format", "cvat-video")
-    assert "expected the frames of the run, has no frame" in complaint(*export, out, "--run", run)
-    assert "expected numbers of frames of the run, got 99" in complaint(*export, out, "--run", run, "--frames", listed)
+    assert "was made from, " in complaint(*export, out, "--run", run)
+    earlier = shutil.copytree(run, tmp_path / "earlier")
+    without_digest(earlier)
+    assert "expected the frames of the run, has no frame" in complaint(*export, out, "--run", earlier)
+    assert "expected numbers of frames of the run, got 99" in complaint(
+        *export, out, "--run", earlier, "--frames", listed
+    )
     assert not out.exists()
     assert foreglow_command(*export, out).exit_code == 0
     imported = ("labels", "import", out, "--out", tmp_path / "own")
@@ -141,6 +146,8 @@ def test_guesses_are_for_the_frames_of_the_run(tmp_path: Path) -> None:
     out.unlink()
     first = (images / "0.png").read_bytes()
     (images / "0.png").unlink()
+    assert "was made from, " in complaint(*export)
+    without_digest(run)
     assert "images: expected the frames of the run, frame 1 is at" in complaint(*export)
     (images / "0.png").write_bytes(first)
     (images / "3.png").unlink()
@@ -285,7 +292,7 @@ def test_a_guess_for_images_of_another_source(run: Path, tmp_path: Path) -> None
     options = ("--run", run, "--frames", frames, "--format", "cvat", "--out", tmp_path / "guess.xml")
     assert foreglow_command("labels", "export", moved, *options).exit_code == 0
     image = next(path for path in (other / "images").rglob("*") if path.is_file())
-    cv2.imwrite(str(image), cv2.imread(str(image), cv2.IMREAD_GRAYSCALE) // 2)
+    cv2.imwrite(str(image), np.asarray(cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)) // 2)
     assert "other: expected what " in complaint("labels", "export", other, *options)
     summary = run / "summary.json"
     before = summary.read_text()
