@@ -33,6 +33,7 @@ from foreglow.lab.learning.old_samples import (
     write_old_samples,
 )
 from foreglow.lab.learning.samples import NUM_KINDS, Samples
+from foreglow.lab.reports import training_pictures
 from foreglow.models import OLD_SAMPLES, model_path
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
@@ -164,7 +165,7 @@ def test_the_samples_are_made_by_one_command(tmp_path: Path, capsys: pytest.Capt
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
-    (folder / "config.toml").write_text(CONFIG_TOML + "[classifier]\nscore_threshold = 0.5\n")
+    (folder / "config.toml").write_text(CONFIG_TOML + "[classifier]\nscore_threshold = 0.45\n")
     return make_drives(folder / "data", num_images=6)
 
 
@@ -191,6 +192,9 @@ def test_a_model_learns_own_drives(
     picture = cv2.imread(str(out / "changes.jpg"))
     assert picture is not None
     assert picture.shape[1] == 2 * 720
+    legend = picture[: training_pictures.LEGEND_HEIGHT_PX].astype(int)
+    for colour in training_pictures.LEGEND.values():
+        assert (np.abs(legend - colour).max(axis=-1) < 60).any()
     assert OnnxClassifier(ClassifierConfig(model=out / "model.onnx")).spec == spec
     again = foreglow_command(*command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml")
     assert again.exit_code == 0, again.output
@@ -223,14 +227,21 @@ def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
     assert all(torch.equal(value, before[name]) for name, value in start.state_dict().items())
 
 
-def test_without_held_out_drives_and_with_the_samples_that_ship(drives: Path, tmp_path: Path) -> None:
+def test_without_held_out_drives_and_with_the_samples_that_ship(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)
     model_at(tmp_path / "start.onnx", NARROW, 1)
     options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 1]
     out = tmp_path / "mine"
     done = foreglow_command("train", drives / "day/train", "--from", tmp_path / "start.onnx", "--out", out, *options)
     assert done.exit_code == 0, done.output
     assert "no drives of yours are held out" in done.stdout
-    assert json.loads((out / "summary.json").read_text())["mixed_in"] == OLD_SAMPLES.name
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["mixed_in"] == OLD_SAMPLES.name
+    (_, after), *_ = summary["before_and_after"].values()
+    figures = "P {precision:.3f} R {recall:.3f} F {f1:.3f}".format(**after)
+    assert f"{figures} at a score > 0.45" in done.output  # in the log as in the table
     assert not (out / "changes.jpg").exists()
 
 

@@ -200,6 +200,7 @@ def fine_tune(
         make_network=lambda _: copy.deepcopy(start.network),
         start=start.digest,
         teacher=Teacher(copy.deepcopy(start.network), is_old, OLD_WEIGHT),
+        threshold=config.classifier.score_threshold,
         device=device,
         progress=progress,
     )

@@ -9,13 +9,14 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import logit
 
 from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log_loss
 
 
 @dataclass(frozen=True, slots=True)
 class BoxScores:
-    """How well boxes were classified at a score of 0.5; NaN where undefined.
+    """How well boxes were classified at a threshold; NaN where undefined.
 
     These count boxes; for light artifacts see `evaluation.evaluate_boxes`.
 
@@ -30,13 +31,13 @@ class BoxScores:
     f1: float
 
 
-def box_scores(logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
-    """Precision, recall and F of logits above 0; labels are 1 and 0.
+def box_scores(logits: NDArray[Any], labels: NDArray[np.int8], threshold: float = 0.5) -> BoxScores:
+    """Precision, recall and F of logits whose scores are above a threshold; labels are 1 and 0.
 
     >>> box_scores(np.array([2.0, 1.0, -1.0]), np.array([1, 0, 1], np.int8))
     BoxScores(precision=0.5, recall=0.5, f1=0.5)
     """
-    is_accepted, is_positive = logits > 0, labels == 1
+    is_accepted, is_positive = logits > logit(threshold), labels == 1
     num_hits = int((is_accepted & is_positive).sum())
     num_accepted, num_positive = int(is_accepted.sum()), int(is_positive.sum())
     return BoxScores(
