@@ -27,7 +27,7 @@ from foreglow.lab.learning.annotation import IGNORED, POSITIVE
 from foreglow.lab.learning.old_samples import NUM_SAMPLES, HeldOut, chosen, read_old_samples
 from foreglow.lab.learning.recipes import RECIPES, Recipe, changed
 from foreglow.lab.learning.samples import NO_GROUP, Samples, joined
-from foreglow.lab.learning.scores import light_logits
+from foreglow.lab.learning.scores import Counting, light_logits
 from foreglow.lab.learning.training_progress import RunProgress
 from foreglow.lab.learning.training_run import finish, labelled_samples, sample_counts, write_results
 from foreglow.models import OLD_SAMPLES
@@ -206,7 +206,8 @@ def fine_tune(
     chosen_device = torch_device(device)
     before = [light_scores(score_samples(start.network, part, chosen_device)) for _, _, part in parts]
     judging = joined([part for _, _, part in parts])
-    weights = [None] * len(held_out) + [np.concatenate([each.weights for each in judge])]
+    judge_weights = np.concatenate([each.weights for each in judge])
+    weights = [*(None for _ in held_out), judge_weights]
     is_old = np.repeat([False, True], [repeats * len(own), old_repeats * len(old)])
     result = train(
         recipe,
@@ -216,7 +217,10 @@ def fine_tune(
         make_network=lambda _: copy.deepcopy(start.network),
         start=start.digest,
         teacher=Teacher(copy.deepcopy(start.network), is_old, OLD_WEIGHT),
-        threshold=config.classifier.score_threshold,
+        counting=Counting(
+            config.classifier.score_threshold,
+            np.concatenate([np.ones(len(judging) - len(judge_weights), np.float32), judge_weights]),
+        ),
         device=device,
         progress=progress,
     )
