@@ -296,14 +296,23 @@ def test_without_held_out_drives_and_with_the_samples_that_ship(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)
+    monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
     model_at(tmp_path / "start.onnx", NARROW, 1)
-    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 1]
+    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 3]
     out = tmp_path / "mine"
     done = foreglow_command("train", drives / "day/train", "--from", tmp_path / "start.onnx", "--out", out, *options)
     assert done.exit_code == 0, done.output
     assert "no drives of yours are held out" in done.stdout
     summary = json.loads((out / "summary.json").read_text())
     assert summary["mixed_in"] == OLD_SAMPLES.name
+    assert summary["num_epochs"] == summary["recipe"]["epochs"] == 1  # as few as there may be
+    assert summary["kept"].keys() == {each.camera for each in read_old_samples(OLD_SAMPLES, NARROW).judge}
+    camera, (before, now) = max(
+        ((name, pair) for name, kept in summary["kept"].items() for pair in kept.values()),
+        key=lambda found: found[1][0] - found[1][1],
+    )
+    said = f"of what it knew, it kept least on {camera}: average precision {before:.3f} before, {now:.3f} after"
+    assert said in " ".join(done.stdout.split())
     (_, after), *_ = summary["before_and_after"].values()
     figures = "P {precision:.3f} R {recall:.3f} F {f1:.3f}".format(**after)
     assert f"{figures} at a score > 0.45" in done.output  # in the log as in the table

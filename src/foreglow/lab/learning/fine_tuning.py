@@ -62,6 +62,9 @@ of the same camera differs by as much."""
 MAX_REPEATS = 8
 """A user's samples are seen up to this often in an epoch, until they are as many as the old ones; or the old ones."""
 
+MAX_SEEN = 600_000
+"""Samples that all epochs together see: large data sets have fewer epochs. This many take some 150 s of a core."""
+
 OLD_WEIGHT = 24.0
 """Of an old sample in the loss; a user's box without light has 1. Less forgets more, more learns less."""
 
@@ -199,6 +202,8 @@ def fine_tune(
     repeats, old_repeats = (
         max(1, min(MAX_REPEATS, round(ratio))) for ratio in (len(old) / max(1, len(own)), len(own) / max(1, len(old)))
     )
+    num_seen = repeats * (len(own) - own.num_labelled(IGNORED)) + old_repeats * len(old)
+    recipe = changed(recipe, {"epochs": max(1, min(recipe.epochs, round(MAX_SEEN / num_seen)))})
     parts: list[tuple[str, LabelledSource | None, Samples]] = [
         (str(each.root), each, labelled_samples(each, recipe, config, "val", cache, progress)) for each in held_out
     ]
