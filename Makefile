@@ -157,11 +157,13 @@ model: $(VENV)/.dev
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
 
 # What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
-# the images again. OLD_DATA and OLD_CACHE name those drives and the folder of their samples.
+# the images again; and 2,000 of validation drives, by camera, that judge what it forgets. OLD_DATA, OLD_JUDGE and OLD_CACHE name
+# those drives and the folder of their samples.
 OLD_DATA ?= $(sort $(MODEL_SETS))
+OLD_JUDGE ?= $(sort $(wildcard $(DATA)/standard/*/*))
 OLD_CACHE ?= runs/foreglow/samples
 old-samples: $(VENV)/.dev
-	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --cache $(OLD_CACHE)
+	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --judge $(OLD_JUDGE) --cache $(OLD_CACHE)
 
 # Every table, figure and number of the paper beside ours, on a few simulated drives, in runs/reproduction: meant for half
 # an hour of two idle cores; goes on where it was. With PVDN, run foreglow reproduce on it.
