@@ -153,15 +153,16 @@ def line(name: str, counts: Counter[str]) -> str:
 
 
 def average_precisions(start: StartingPoint, networks: list[Any], drives: list[Path], cache: Path) -> None:
-    """Prints that of boxes, for each split of simulated drives and each network."""
-    config = SampleConfig(proposals=preset("foreglow").proposals, inputs=start.inputs)
+    """Prints that of boxes, for each split of simulated drives and each network: by whose light, and by key points."""
+    by_points = SampleConfig(proposals=preset("foreglow").proposals, inputs=start.inputs)
     for drive in drives:
-        samples = cached_samples(PVDN(drive), config, cache)
-        samples = samples[samples.labels != IGNORED]
-        scores = (light_scores(score_samples(network, samples, torch_device("cpu"))) for network in networks)
-        is_light = samples.labels == POSITIVE
-        found = [box_figures(each, is_light, 0.5).average_precision for each in scores]
-        print(f"{drive}: average precision {' '.join(f'{value:.3f}' for value in found)}", flush=True)
+        for name, config in (("light", by_points.model_copy(update={"by_light": True})), ("key points", by_points)):
+            samples = cached_samples(PVDN(drive), config, cache)
+            samples = samples[samples.labels != IGNORED]
+            scores = (light_scores(score_samples(network, samples, torch_device("cpu"))) for network in networks)
+            is_light = samples.labels == POSITIVE
+            found = [box_figures(each, is_light, 0.5).average_precision for each in scores]
+            print(f"{drive}: average precision by {name} {' '.join(f'{value:.3f}' for value in found)}", flush=True)
 
 
 def main() -> None:

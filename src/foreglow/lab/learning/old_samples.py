@@ -224,7 +224,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m foreglow.lab.learning.old_samples", description=__doc__)
     parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets whose split train is mixed in")
     parser.add_argument(
-        "--judge", nargs="+", type=Path, metavar="DATA", required=True, help="... whose split val judges"
+        "--judge", nargs="+", type=Path, metavar="DATA", required=True, help="... whose split val judges, by camera"
     )
     parser.add_argument("--out", type=Path, default=OLD_SAMPLES, help="the file to write")
     parser.add_argument("--cache", type=Path, required=True, help="where samples are kept, such as those of a training")
@@ -240,10 +240,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for data in given.data:
             split = open_labelled(split_folder(data, "train"))
             parts.append(cached_samples(split, config, given.cache, progress.of(f"{data}: images")))
-        judge = []
+        splits: dict[str, list[LabelledSource]] = {}
         for data in given.judge:
-            split = open_labelled(split_folder(data, "val"))
-            judge.append(judging(split, config, given.model, given.cache, "/".join(data.parts[-2:])))
+            splits.setdefault("/".join(data.parts[-2:]), []).append(open_labelled(split_folder(data, "val")))
+        judge = [judging(camera, found, config, given.model, given.cache) for camera, found in splits.items()]
     old = OldSamples(chosen(parts, given.samples), tuple(judge))
     write_old_samples(given.out, old)
     counts = [old.learn.num_labelled(label) for label in (POSITIVE, NEGATIVE)]
@@ -254,8 +254,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
 
 
-def judging(split: LabelledSource, config: SampleConfig, model: Path, cache: Path, camera: str) -> HeldOut:
-    """Samples of a split to judge by, drawn with the help of a model; without those in which light is doubtful.
+def judging(camera: str, splits: Sequence[LabelledSource], config: SampleConfig, model: Path, cache: Path) -> HeldOut:
+    """Samples of a camera's splits to judge by, drawn with a model's help; without those in which light is doubtful.
 
     Raises:
         As `cached_samples`, and `model_import.read_model`.
@@ -267,9 +267,13 @@ def judging(split: LabelledSource, config: SampleConfig, model: Path, cache: Pat
     from foreglow.lab.learning.training import score_samples
 
     plain = config.model_copy(update={"jitter": Jitter()})
-    samples = cached_samples(split, plain, cache)
-    by_points = cached_samples(split, plain.model_copy(update={"by_light": False}), cache)
-    samples = samples[(samples.labels != IGNORED) & (by_points.labels != IGNORED)]
+    parts = []
+    for split in splits:
+        by_light, by_points = (
+            cached_samples(split, plain.model_copy(update={"by_light": each}), cache) for each in (True, False)
+        )
+        parts.append(by_light[(by_light.labels != IGNORED) & (by_points.labels != IGNORED)])
+    samples = joined(parts)
     start = read_model(model)
     logits = score_samples(start.network, _as_read(samples, start.inputs), torch.device("cpu"))
     return held_out(camera, samples, expit(light_logits(logits)), NUM_JUDGING)
