@@ -194,6 +194,7 @@ def test_a_model_learns_own_drives(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: InputSpec, num_outputs: int
 ) -> None:
     monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)  # the start knows nothing that is worth keeping
+    monkeypatch.setattr(fine_tuning, "OLD_WEIGHT", 1.0)
     model_at(tmp_path / "start.onnx", spec, num_outputs)
     more = make_drives(tmp_path / "more", num_images=2)
     options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--seed", 2, "--mix", more]
