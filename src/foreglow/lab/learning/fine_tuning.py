@@ -56,8 +56,8 @@ WAYS = tuple(way / 20 for way in range(20, -1, -1))
 """How far the weights move, of the way from those of the start to the trained ones: the first that loses little."""
 
 MAX_LOSS = 0.003
-"""Average precision that may be lost on the old drives of any camera: on eight other drives of the same camera, up to
-.01 more may be."""
+"""Average precision that may be lost on the old drives of any camera. On eight other drives of the same camera the loss
+differs by some .005, so that it stays below .01."""
 
 MAX_REPEATS = 8
 """A user's samples are seen up to this often in an epoch, until they are as many as the old ones; or the old ones."""
@@ -67,7 +67,7 @@ MAX_SEEN = 600_000
 
 OLD_WEIGHT = 60.0
 """Of an old sample in the loss; a user's box without light has 1. Less forgets more, more learns less: on the two real
-clips of docs/own_drive.md, 24 learns no more than this for the same loss, and 150 no less."""
+clips of docs/own_drive.md, 24 forgets more for the same gain, and 150 as much."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ POSITIVE_SHARE = 0.4
 """Of the samples; there are ten times as many boxes without light, but few of them teach anything."""
 
 NUM_JUDGING = {POSITIVE: 130, NEGATIVE: 220}
-"""Samples of each camera that judge, about: by these and by all boxes of 16 drives, losses differ by up to .002."""
+"""Samples of each camera that judge, about: by these and by all boxes of 16 drives, losses differ by up to .005."""
 
 _LEAST_SHARE = 0.05  # added to a score: boxes that look unlike light are drawn as well
 _QUALITY = 80  # of WebP: 2 grey levels off on average, at 0.5 kB a sample
