@@ -138,6 +138,7 @@ MODEL_SETS = $(wildcard $(DATA)/standard/*/*) $(wildcard $(DATA)/model/*/day $(D
 model-data: $(VENV)/.dev
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes 58 $(standard)
 	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes 8 $(standard)
+	$(BIN)/foreglow simulate --out $(DATA)/judge --split val --scenes 8 $(subst --seed 17,--seed 18,$(standard))
 	$(call draw,low,train,12,7) --fps 4
 	$(call draw,low,val,6,7) --fps 4
 	$(call draw,pairs,train,20,57) $(pairs) 2.5
@@ -157,11 +158,13 @@ model: $(VENV)/.dev
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
 
 # What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
-# the images again. OLD_DATA and OLD_CACHE name those drives and the folder of their samples.
+# the images again; and 2,000 of validation drives, by camera, that judge what it forgets. OLD_DATA, OLD_JUDGE and OLD_CACHE name
+# those drives and the folder of their samples.
 OLD_DATA ?= $(sort $(MODEL_SETS))
+OLD_JUDGE ?= $(sort $(wildcard $(DATA)/standard/*/* $(DATA)/judge/*/*))
 OLD_CACHE ?= runs/foreglow/samples
 old-samples: $(VENV)/.dev
-	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --cache $(OLD_CACHE)
+	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --judge $(OLD_JUDGE) --cache $(OLD_CACHE)
 
 # Every table, figure and number of the paper beside ours, on a few simulated drives, in runs/reproduction: meant for half
 # an hour of two idle cores; goes on where it was. With PVDN, run foreglow reproduce on it.

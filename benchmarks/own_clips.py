@@ -27,6 +27,7 @@ from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.annotation import IGNORED, POSITIVE
 from foreglow.lab.learning.fine_tuning import box_figures, fine_tune, fine_tuning_recipe, light_scores
 from foreglow.lab.learning.model_import import StartingPoint, read_model
+from foreglow.lab.learning.recipes import changed
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import SampleConfig
 from foreglow.lab.learning.training import score_samples, torch_device
@@ -153,15 +154,16 @@ def line(name: str, counts: Counter[str]) -> str:
 
 
 def average_precisions(start: StartingPoint, networks: list[Any], drives: list[Path], cache: Path) -> None:
-    """Prints that of boxes, for each split of simulated drives and each network."""
-    config = SampleConfig(proposals=preset("foreglow").proposals, inputs=start.inputs)
+    """Prints that of boxes, for each split of simulated drives and each network: by whose light, and by key points."""
+    by_points = SampleConfig(proposals=preset("foreglow").proposals, inputs=start.inputs)
     for drive in drives:
-        samples = cached_samples(PVDN(drive), config, cache)
-        samples = samples[samples.labels != IGNORED]
-        scores = (light_scores(score_samples(network, samples, torch_device("cpu"))) for network in networks)
-        is_light = samples.labels == POSITIVE
-        found = [box_figures(each, is_light, 0.5).average_precision for each in scores]
-        print(f"{drive}: average precision {' '.join(f'{value:.3f}' for value in found)}", flush=True)
+        for name, config in (("light", by_points.model_copy(update={"by_light": True})), ("key points", by_points)):
+            samples = cached_samples(PVDN(drive), config, cache)
+            samples = samples[samples.labels != IGNORED]
+            scores = (light_scores(score_samples(network, samples, torch_device("cpu"))) for network in networks)
+            is_light = samples.labels == POSITIVE
+            found = [box_figures(each, is_light, 0.5).average_precision for each in scores]
+            print(f"{drive}: average precision by {name} {' '.join(f'{value:.3f}' for value in found)}", flush=True)
 
 
 def main() -> None:
@@ -171,6 +173,7 @@ def main() -> None:
     parser.add_argument("--model", type=Path, default=Path("foreglow"))
     parser.add_argument("--drives", type=Path, nargs="*", default=[], help="splits of simulated drives")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, help="of the trainings (default: that of the recipe)")
     parser.add_argument("--cache", type=Path, help="where samples are kept (default: in OUT)")
     given = parser.parse_args()
     cache = given.cache or given.out / "samples"
@@ -186,11 +189,13 @@ def main() -> None:
         before = base.model_copy(update={"classifier": classifier})
         begun = read_model(given.model)
         folder = given.out / f"learnt_{half}"
-        summary, _ = fine_tune(data, begun, fine_tuning_recipe(begun), before, folder, cache=cache)
+        recipe = fine_tuning_recipe(begun)
+        recipe = recipe if given.seed is None else changed(recipe, {"seed": given.seed})
+        summary, _ = fine_tune(data, begun, recipe, before, folder, cache=cache)
         networks.append(read_model(folder / "model.onnx").network)
-        print(f"half {half}: {summary['seconds']} s, {summary['samples']}", flush=True)
-        changed = classifier.model_copy(update={"model": folder / "model.onnx"})
-        after = base.model_copy(update={"classifier": changed})
+        print(f"half {half}: {summary['seconds']} s, way {summary['way']}, {summary['samples']}", flush=True)
+        learnt = classifier.model_copy(update={"model": folder / "model.onnx"})
+        after = base.model_copy(update={"classifier": learnt})
         for clip in clips:
             other = PVDN(write_half(clip, 1 - half, given.out / "own", start.has_kinds) / "train")
             for name, config in (("before", before), ("after", after)):

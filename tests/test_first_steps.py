@@ -57,6 +57,23 @@ def test_a_result_can_be_drawn() -> None:
     pyplot.close("all")
 
 
+def test_labels_lie_over_no_other_label() -> None:
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("agg")
+    boxes = [[10 + 2 * k, 20 + k % 3, 20 + 2 * k, 30 + k % 3] for k in range(12)]
+    scores = np.linspace(0.05, 0.95, 12).tolist()
+    result = result_of(Frame(night_image(), 0), boxes, scores)
+    axes = result.plot(night_image())
+    tracks = tracks_of(boxes[:4], ids=[1, 2, 3, 4], ranges_m=[81.6] * 4)
+    foreglow.FrameResult(0, 0, result.proposals, None, tracks=tracks).plot(axes=axes)
+    axes.figure.canvas.draw()
+    extents = [text.get_window_extent() for text in axes.texts]
+    assert len(extents) == 16
+    apart = [extent.padded(-1) for extent in extents]
+    assert not [(k, n) for k in range(16) for n in range(k) if apart[k].overlaps(apart[n])]
+    pyplot.close("all")
+
+
 def test_without_an_image_rows_still_go_down() -> None:
     pyplot = pytest.importorskip("matplotlib.pyplot")
     pyplot.switch_backend("agg")

@@ -80,6 +80,10 @@ def test_auto(tmp_path: Path, drive_folder: Path) -> None:
     camera = read_calibration(out)
     assert 0 < camera.mount_sigmas.pitch_rad < 0.01
     assert "known to       pitch +-" in result.stdout
+    forward_m = camera.vehicle_from_camera.position_m[0]
+    assumed = f"{forward_m:g} m in front of the rear axle, 0 m left of the middle: assumed"
+    assert f"position_m     {assumed}" in result.stdout
+    assert f"# position_m: {assumed}" in out.read_text()
     assert cv2.imread(str(tmp_path / "camera.png")) is not None
 
 

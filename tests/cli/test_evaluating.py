@@ -212,6 +212,9 @@ def test_without_a_folder_nothing_is_written(tmp_path: Path, split: Path, model:
     result = foreglow_command("evaluate", split, "--model", model, "--config", config)
     assert result.exit_code == 0, result.output
     assert "ms a frame (median)" in result.stdout
+    assert "compared with the key points that were labelled" in result.stdout
+    heading = next(line for line in result.stdout.splitlines() if "std" in line)
+    assert [cell.strip() for cell in heading.strip("┃│").replace("┃", "│").split("│")] == ["figure", "value", "std"]
     assert names(tmp_path) == before
 
 

@@ -76,6 +76,7 @@ def evaluate(
         examination = _examined_file(split, predictions, _threshold_of(predictions) if threshold is None else threshold)
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
+    typer.echo(COMPARED)
     rich.print(_table(examination.quality, str(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if examination.kinds is not None:
@@ -171,6 +172,12 @@ def _examined_model(
     return dataclasses.replace(examination, robustness=rows)
 
 
+COMPARED = (
+    "Boxes are compared with the key points that were labelled: a box is right if a key point lies in it, "
+    "and a key point is found if it lies in an accepted box."
+)
+
+
 def _table(quality: BoxQuality, title: str) -> Table:
     """The numbers of `quality`, with a dash for undefined ones, and the counts behind them."""
     from rich.table import Table
@@ -184,7 +191,7 @@ def _table(quality: BoxQuality, title: str) -> Table:
         caption += f"\n{counted(quality.num_missing, 'image')} without predictions, counted as without boxes"
     if quality.num_unknown:
         caption += f"\npredictions for {counted(quality.num_unknown, 'unknown image')} ignored"
-    table = Table("", "", "std", title=title, caption=caption, title_justify="left", caption_justify="left")
+    table = Table("figure", "value", "std", title=title, caption=caption, title_justify="left", caption_justify="left")
     table.columns[1].justify = "right"
     for name, value in (("precision", quality.precision), ("recall", quality.recall), ("F", quality.f1)):
         table.add_row(name, number(value, 4))

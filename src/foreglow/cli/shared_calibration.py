@@ -40,7 +40,15 @@ def write_calibration(found: DriveCalibration, path: Path, picture: Path) -> Non
 
     with together():
         write_check(picture, found.camera, found.frame.image, found.frame.path, found.mask)
-        write_atomic(path, calibration_to_toml(found.camera).encode())
+        write_atomic(path, f"# position_m: {_assumed(found)}\n{calibration_to_toml(found.camera)}".encode())
+
+
+def _assumed(found: DriveCalibration) -> str:
+    """What no drive shows of the camera's position, in words."""
+    forward_m, left_m, _ = found.camera.vehicle_from_camera.position_m.tolist()
+    return (
+        f"{forward_m:g} m in front of the rear axle, {left_m:g} m left of the middle: assumed, measure and correct them"
+    )
 
 
 def calibration_lines(found: DriveCalibration) -> list[str]:
@@ -49,6 +57,7 @@ def calibration_lines(found: DriveCalibration) -> list[str]:
 
     return [
         *check_lines(found.camera),
+        f"position_m     {_assumed(found)}",
         f"seen in        {found.num_lines} of {found.num_views} frames by lines, turn known in {found.num_flows}",
         f"stands still   {found.mask.mean():.1%} of the image",
     ]

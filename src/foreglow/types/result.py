@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,8 @@ from foreglow.types.tracks import Tracks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import Rectangle
+    from matplotlib.text import Text
 
     from foreglow.types.arrays import Image
     from foreglow.types.boxes import Detections, Proposals
@@ -38,11 +40,15 @@ def plot(
         ) from None
     shown = pyplot.subplots(layout="constrained")[1] if axes is None else axes
 
-    def add(box: Any, kind: str, text: str = "") -> None:
+    labels: list[tuple[float, Text, Rectangle]] = []
+
+    def add(box: Any, kind: str, text: str = "", weight: float = 0.0) -> None:
         x1, y1, x2, y2 = np.asarray(box, np.float64) - 0.5  # pixels are centred on whole numbers
-        shown.add_patch(Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, edgecolor=COLOURS[kind]))
+        drawn = Rectangle((x1, y1), x2 - x1, y2 - y1, fill=False, edgecolor=COLOURS[kind])
+        shown.add_patch(drawn)
         if text:
-            shown.text(x1, y1, text, color=COLOURS[kind], fontsize="small", verticalalignment="bottom")
+            written = shown.text(x1, y1, text, color=COLOURS[kind], fontsize="small", verticalalignment="bottom")
+            labels.append((weight, written, drawn))
 
     if image is not None:
         shown.imshow(image, cmap="gray", norm="asinh")
@@ -52,18 +58,43 @@ def plot(
     else:
         columns = detections.boxes_xyxy_px, detections.scores, detections.is_accepted
         for box, score, is_accepted in zip(*columns, strict=True):
-            add(box, "accepted" if is_accepted else "rejected", f"{score:.2f}")
+            add(box, "accepted" if is_accepted else "rejected", f"{score:.2f}", weight=is_accepted + score)
     if tracks is not None:
         for index in np.flatnonzero(tracks.is_plausible):
             range_m = tracks.ranges_m[index]
             text = f"#{tracks.ids[index]}" + ("" if np.isnan(range_m) else f" {range_m:.0f} m")
-            add(tracks.boxes_xyxy_px[index], "track", text)
+            add(tracks.boxes_xyxy_px[index], "track", text, weight=3.0)
     shown.set(xlabel="column, pixels", ylabel="row, pixels", aspect="equal")
     if image is None:
         shown.autoscale_view()
         if not shown.yaxis_inverted():
             shown.invert_yaxis()
+    labels.sort(key=lambda label: -label[0])
+    _spread(shown, [(text, box) for _, text, box in labels])
     return shown
+
+
+def _spread(axes: Axes, labels: Sequence[tuple[Text, Rectangle]]) -> None:
+    """Moves labels to where they lie over no other at the figure's size; the first of them choose first.
+
+    A label is above its box, below it or right of it; where all of these are taken, it is moved up, line by line.
+    """
+    if not labels:
+        return
+    axes.figure.canvas.figure.draw_without_rendering()  # now texts have a size
+    to_data, moved = axes.transData.inverted(), {text for text, _ in labels}
+    others = [text.get_window_extent().extents for text in axes.texts if text not in moved]
+    taken = np.array(others, np.float64).reshape(-1, 4)
+    for text, box in labels:
+        x1, y1, x2, y2 = box.get_window_extent().extents
+        size = text.get_window_extent().size
+        lows = [(x1, y2), (x1, y1 - size[1]), (x2, y2 - size[1])]
+        lows += [(x1, y2 + line * size[1]) for line in range(1, len(taken) + 2)]
+        for low in np.array(lows):
+            if not ((taken[:, :2] < low + size) & (low < taken[:, 2:])).all(axis=1).any():
+                break
+        taken = np.concatenate([taken, [[*low, *(low + size)]]])
+        text.set_position(to_data.transform(low).tolist())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,13 +26,16 @@ from foreglow.lab.learning.model_import import FoldedNetwork, read_model
 from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
 from foreglow.lab.learning.old_samples import (
     WIDEST,
+    HeldOut,
+    OldSamples,
     chosen,
+    held_out,
     main,
     read_old_samples,
-    split_by_drive,
     write_old_samples,
 )
 from foreglow.lab.learning.samples import NUM_KINDS, Samples
+from foreglow.lab.reports import training_pictures
 from foreglow.models import OLD_SAMPLES, model_path
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
@@ -52,11 +55,17 @@ def made_up(num_samples: int, seed: int = 0) -> Samples:
         features=random.random((num_samples, 9)).astype(np.float32),
         labels=labels,
         kinds=kinds,
-        groups=np.full(num_samples, -1, np.int8),
+        groups=np.where(labels == 1, 0, -1).astype(np.int8),
         boxes_xyxy_px=np.zeros((num_samples, 4), np.int32),
         image_ids=np.arange(num_samples, dtype=np.int64),
         sequence_ids=np.zeros(num_samples, np.int32),
     )
+
+
+def old_samples(num_samples: int) -> OldSamples:
+    judge = [made_up(num, seed) for num, seed in ((20, 5), (30, 6))]
+    weights = [np.linspace(1, 9, len(part), dtype=np.float32) for part in judge]
+    return OldSamples(made_up(num_samples), tuple(map(HeldOut, ("a/day", "b/night"), judge, weights)))
 
 
 def model_at(path: Path, spec: InputSpec, num_outputs: int, seed: int = 3) -> CompactNetwork:
@@ -112,32 +121,38 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
 
 def test_the_samples_that_ship_are_for_the_model_that_ships() -> None:
     start = read_model(Path("foreglow"))
-    learn, judge = split_by_drive(read_old_samples(OLD_SAMPLES, start.inputs))
-    assert learn.crops.shape[1:] == (start.inputs.num_channels, 32, 32)
-    for part in (learn, judge):
+    old = read_old_samples(OLD_SAMPLES, start.inputs)
+    assert old.learn.crops.shape[1:] == (start.inputs.num_channels, 32, 32)
+    for part in (old.learn, *(each.samples for each in old.judge)):
         assert min(part.num_labelled(0), part.num_labelled(1)) > 50
         assert (part.features[:, 6] > 0).any()  # boxes with a moment of the past
         assert not np.isnan(part.kinds).any()
-    assert not set(learn.sequence_ids.tolist()) & set(judge.sequence_ids.tolist())
-    assert OLD_SAMPLES.stat().st_size <= 2_000_000
+    assert len({each.camera for each in old.judge}) == len(old.judge) > 1
+    assert OLD_SAMPLES.stat().st_size <= 3_000_000
 
 
 @pytest.mark.parametrize("spec", [WIDEST, NARROW, InputSpec(size_px=32, context=6)])
 def test_samples_survive_their_file(tmp_path: Path, spec: InputSpec) -> None:
-    samples = made_up(150)
-    write_old_samples(tmp_path / "some.npz", samples)
-    found = read_old_samples(tmp_path / "some.npz", spec)
+    old = old_samples(150)
+    write_old_samples(tmp_path / "some.npz", old)
+    again = read_old_samples(tmp_path / "some.npz", spec)
     channels = [0, *([1] if spec.lag_s else []), *([2] if spec.context else [])]
-    assert np.abs(found.crops.astype(int) - samples.crops[:, channels]).mean() < 2
-    np.testing.assert_allclose(found.features, samples.features[:, : spec.num_features], atol=1e-3)
-    for name in ("labels", "kinds", "image_ids"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(samples, name))
-    write_old_samples(tmp_path / "again.npz", samples)
+    pairs = [(again.learn, old.learn)]
+    for found_part, part in zip(again.judge, old.judge, strict=True):
+        assert found_part.camera == part.camera
+        np.testing.assert_array_equal(found_part.weights, part.weights)
+        pairs.append((found_part.samples, part.samples))
+    for found, samples in pairs:
+        assert np.abs(found.crops.astype(int) - samples.crops[:, channels]).mean() < 2
+        np.testing.assert_allclose(found.features, samples.features[:, : spec.num_features], atol=1e-3)
+        for name in ("labels", "kinds", "image_ids"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(samples, name))
+    write_old_samples(tmp_path / "again.npz", old)
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "some.npz").read_bytes()
 
 
 def test_samples_of_other_inputs_or_of_nothing_say_so(tmp_path: Path) -> None:
-    write_old_samples(tmp_path / "some.npz", made_up(20))
+    write_old_samples(tmp_path / "some.npz", old_samples(20))
     with pytest.raises(ValueError, match=r"some\.npz: expected a model that reads no more than"):
         read_old_samples(tmp_path / "some.npz", dataclasses.replace(WIDEST, size_px=64))
     for content in (b"", b"PK\x05\x06", (tmp_path / "some.npz").read_bytes()[:900]):
@@ -155,16 +170,22 @@ def test_chosen_samples_are_of_every_part_and_not_doubtful() -> None:
 
 def test_the_samples_are_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = make_drives(tmp_path / "data", num_images=2)
-    arguments = [str(data), "--out", str(tmp_path / "some.npz"), "--cache", str(tmp_path / "cache")]
-    main([*arguments, "--samples", "10"])
+    model_at(tmp_path / "model.onnx", NARROW, 1)
+    arguments = [str(data), "--judge", str(data), "--model", str(tmp_path / "model.onnx"), "--samples", "10"]
+    main([*arguments, "--out", str(tmp_path / "some.npz"), "--cache", str(tmp_path / "cache")])
     found = read_old_samples(tmp_path / "some.npz", WIDEST)
-    assert f"{found.num_labelled(1)} boxes with light, {found.num_labelled(0)} without" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"{found.learn.num_labelled(1)} boxes with light, {found.learn.num_labelled(0)} without" in said
+    (judge,) = found.judge
+    assert judge.camera == f"{tmp_path.name}/data"
+    assert f"{len(judge.samples)} to judge by" in said
+    assert min(judge.samples.num_labelled(label) for label in (0, 1)) > 0
 
 
 @pytest.fixture(scope="module")
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
-    (folder / "config.toml").write_text(CONFIG_TOML + "[classifier]\nscore_threshold = 0.5\n")
+    (folder / "config.toml").write_text(CONFIG_TOML + "[classifier]\nscore_threshold = 0.45\n")
     return make_drives(folder / "data", num_images=6)
 
 
@@ -173,6 +194,7 @@ def test_a_model_learns_own_drives(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: InputSpec, num_outputs: int
 ) -> None:
     monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)  # the start knows nothing that is worth keeping
+    monkeypatch.setattr(fine_tuning, "OLD_WEIGHT", 1.0)
     model_at(tmp_path / "start.onnx", spec, num_outputs)
     more = make_drives(tmp_path / "more", num_images=2)
     options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--seed", 2, "--mix", more]
@@ -191,6 +213,9 @@ def test_a_model_learns_own_drives(
     picture = cv2.imread(str(out / "changes.jpg"))
     assert picture is not None
     assert picture.shape[1] == 2 * 720
+    legend = picture[: training_pictures.LEGEND_HEIGHT_PX].astype(int)
+    for colour in training_pictures.LEGEND.values():
+        assert (np.abs(legend - colour).max(axis=-1) < 60).any()
     assert OnnxClassifier(ClassifierConfig(model=out / "model.onnx")).spec == spec
     again = foreglow_command(*command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml")
     assert again.exit_code == 0, again.output
@@ -199,6 +224,34 @@ def test_a_model_learns_own_drives(
     assert "checkpoint.pt: start: expected that of the training begun here" in complaint(
         *command, "--epochs", 15, "--recipe-file", tmp_path / "fast.toml"
     )
+
+
+def test_what_is_drawn_to_judge_stands_for_all() -> None:
+    samples = made_up(4000)
+    scores = np.random.default_rng(3).random(len(samples)) ** 4
+    found = held_out("a", samples, scores, {1: 120, 0: 300})
+    again = held_out("a", samples, scores, {1: 120, 0: 300})
+    np.testing.assert_array_equal(found.samples.image_ids, again.samples.image_ids)
+    for label, wanted in ((1, 120), (0, 300), (-1, 0)):
+        is_drawn = found.samples.labels == label
+        assert abs(is_drawn.sum() - wanted) <= 1
+        assert abs(found.weights[is_drawn].sum() / samples.num_labelled(label) - 1) < 0.05 or not wanted
+    is_dark = found.samples.labels == 0
+    drawn_scores = scores[found.samples.image_ids[is_dark]]
+    assert drawn_scores.mean() > 1.5 * scores[samples.labels == 0].mean()
+    few = held_out("a", samples[:50], scores[:50], {1: 120, 0: 300})
+    assert (few.weights == 1).all()
+    assert len(few.samples) == np.count_nonzero(samples.labels[:50] >= 0)
+
+
+def test_boxes_count_as_often_as_they_stand_for() -> None:
+    random = np.random.default_rng(1)
+    scores, is_light, counts = random.random(40), random.random(40) < 0.4, random.integers(1, 5, 40)
+    repeated = fine_tuning.box_figures(np.repeat(scores, counts), np.repeat(is_light, counts), 0.5)
+    weighed = fine_tuning.box_figures(scores, is_light, 0.5, counts.astype(np.float32))
+    assert weighed.precision == pytest.approx(repeated.precision)
+    assert weighed.recall == pytest.approx(repeated.recall)
+    assert weighed.average_precision == pytest.approx(repeated.average_precision, abs=0.02)
 
 
 def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
@@ -210,27 +263,60 @@ def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
     order = np.argsort(np.logaddexp.reduce(logits[:, :-1], axis=1) - logits[:, -1])
     labels = np.zeros(60, np.int8)
     labels[order[30:]] = 1  # what the start says is right
-    old = dataclasses.replace(samples, labels=labels)
+    groups = np.where(labels == 1, 0, -1).astype(np.int8)
+    known = dataclasses.replace(samples, labels=labels, groups=groups)
+    old = [HeldOut("known", known, np.ones(60, np.float32))]
+    device = torch.device("cpu")
     other = read_model(tmp_path / "model.onnx").network
     with torch.no_grad():
         other.last.bias.add_(1.0)
         other.last.weight.mul_(2.0)  # the order stays
-    assert fine_tuning._move(other, start, old, torch.device("cpu")) == 1
+    assert fine_tuning._move(other, start, old, device)[0] == 1
     with torch.no_grad():
         other.last.weight.mul_(-5.0)  # the order is turned around
     before = {name: value.clone() for name, value in start.state_dict().items()}
-    assert fine_tuning._move(other, start, old, torch.device("cpu")) < 0.5
+    worse = {name: value.clone() for name, value in other.state_dict().items()}
+    way, kept = fine_tuning._move(other, start, old, device)
+    assert way < 0.5
+    assert kept["known"]["light"][0] - kept["known"]["light"][1] <= fine_tuning.MAX_LOSS
+    # One camera that loses is enough, however many gain: by labels that are wrong, all others do.
+    gaining = dataclasses.replace(known, labels=1 - labels, groups=np.where(labels == 1, -1, 0).astype(np.int8))
+    others = [HeldOut(f"gains {k}", gaining, np.ones(60, np.float32)) for k in range(9)]
+    other.load_state_dict(worse)
+    assert fine_tuning._move(other, start, others, device)[0] == 1
+    other.load_state_dict(worse)
+    assert fine_tuning._move(other, start, [*others, *old], device)[0] == way
+    # So is one by what a person would mark, where the labels by light lose nothing.
+    other.load_state_dict(worse)
+    marked = dataclasses.replace(gaining, groups=known.groups)
+    assert fine_tuning._move(other, start, [HeldOut("marks", marked, np.ones(60, np.float32))], device)[0] == way
     assert all(torch.equal(value, before[name]) for name, value in start.state_dict().items())
 
 
-def test_without_held_out_drives_and_with_the_samples_that_ship(drives: Path, tmp_path: Path) -> None:
+def test_without_held_out_drives_and_with_the_samples_that_ship(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)
+    monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
     model_at(tmp_path / "start.onnx", NARROW, 1)
-    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 1]
+    options = ["--config", drives.parent / "config.toml", "--device", "cpu", "--epochs", 3]
     out = tmp_path / "mine"
     done = foreglow_command("train", drives / "day/train", "--from", tmp_path / "start.onnx", "--out", out, *options)
     assert done.exit_code == 0, done.output
     assert "no drives of yours are held out" in done.stdout
-    assert json.loads((out / "summary.json").read_text())["mixed_in"] == OLD_SAMPLES.name
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["mixed_in"] == OLD_SAMPLES.name
+    assert summary["num_epochs"] == summary["recipe"]["epochs"] == 1  # as few as there may be
+    assert summary["kept"].keys() == {each.camera for each in read_old_samples(OLD_SAMPLES, NARROW).judge}
+    camera, (before, now) = max(
+        ((name, pair) for name, kept in summary["kept"].items() for pair in kept.values()),
+        key=lambda found: found[1][0] - found[1][1],
+    )
+    said = f"of what it knew, it kept least on {camera}: average precision {before:.3f} before, {now:.3f} after"
+    assert said in " ".join(done.stdout.split())
+    (_, after), *_ = summary["before_and_after"].values()
+    figures = "P {precision:.3f} R {recall:.3f} F {f1:.3f}".format(**after)
+    assert f"{figures} at a score > 0.45" in done.output  # in the log as in the table
     assert not (out / "changes.jpg").exists()
 
 

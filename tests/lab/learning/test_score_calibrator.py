@@ -7,7 +7,7 @@ import pytest
 from scipy.special import expit
 
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
-from foreglow.lab.learning.scores import BoxScores, Calibrator, box_scores, fit_calibrator, light_logits
+from foreglow.lab.learning.scores import EACH_AS_ONE, BoxScores, Calibrator, fit_calibrator, light_logits
 
 
 def drawn(num_samples: int = 20_000) -> tuple[Any, Any]:
@@ -65,8 +65,8 @@ def test_a_perfect_network_gets_a_finite_temperature() -> None:
 
 def test_scores_by_hand() -> None:
     logits, labels = np.array([3.0, 1.0, -1.0, 0.0, -2.0]), np.array([1, 0, 1, 1, 0], np.int8)
-    assert box_scores(logits, labels) == BoxScores(1 / 2, 1 / 3, 2 / 5)
-    nothing = box_scores(np.array([-1.0]), np.array([0], np.int8))
+    assert EACH_AS_ONE.scores(logits, labels) == BoxScores(1 / 2, 1 / 3, 2 / 5)
+    nothing = EACH_AS_ONE.scores(np.array([-1.0]), np.array([0], np.int8))
     assert np.isnan([nothing.precision, nothing.recall, nothing.f1]).all()
 
 

@@ -120,7 +120,8 @@ TAPE_SIGMA_M = 0.02
 """Of a height that someone has measured."""
 
 FORWARD_M = 1.7
-"""In front of the rear axle; ranges count from the camera, so it hardly matters."""
+"""In front of the rear axle, in the middle of the car: no drive shows it. Ranges count from the camera, so they do not
+depend on it; positions in the vehicle's frame are wrong by as much as this is."""
 
 NUM_PARTS = 8
 """Parts of the drive whose spread is the standard deviation."""

@@ -9,13 +9,14 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import logit
 
 from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log_loss
 
 
 @dataclass(frozen=True, slots=True)
 class BoxScores:
-    """How well boxes were classified at a score of 0.5; NaN where undefined.
+    """How well boxes were classified at a threshold; NaN where undefined.
 
     These count boxes; for light artifacts see `evaluation.evaluate_boxes`.
 
@@ -30,20 +31,42 @@ class BoxScores:
     f1: float
 
 
-def box_scores(logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
-    """Precision, recall and F of logits above 0; labels are 1 and 0.
+@dataclass(frozen=True, slots=True, eq=False)
+class Counting:
+    """How boxes are counted.
 
-    >>> box_scores(np.array([2.0, 1.0, -1.0]), np.array([1, 0, 1], np.int8))
-    BoxScores(precision=0.5, recall=0.5, f1=0.5)
+    Attributes:
+        threshold: Boxes with a score above it are accepted.
+        weights: Shape (N,): how many boxes each stands for; None if each is one.
     """
-    is_accepted, is_positive = logits > 0, labels == 1
-    num_hits = int((is_accepted & is_positive).sum())
-    num_accepted, num_positive = int(is_accepted.sum()), int(is_positive.sum())
-    return BoxScores(
-        num_hits / num_accepted if num_accepted else math.nan,
-        num_hits / num_positive if num_positive else math.nan,
-        2 * num_hits / (num_accepted + num_positive) if num_accepted + num_positive else math.nan,
-    )
+
+    threshold: float = 0.5
+    weights: NDArray[np.float32] | None = None
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> Counting:
+        """The same for some of the boxes."""
+        return Counting(self.threshold, None if self.weights is None else self.weights[chosen])
+
+    def scores(self, logits: NDArray[Any], labels: NDArray[np.int8]) -> BoxScores:
+        """Precision, recall and F of N logits; labels are 1 and 0.
+
+        >>> EACH_AS_ONE.scores(np.array([2.0, 1.0, -1.0]), np.array([1, 0, 1], np.int8))
+        BoxScores(precision=0.5, recall=0.5, f1=0.5)
+        """
+        is_accepted, is_positive = logits > logit(self.threshold), labels == 1
+        counts = np.ones(len(labels)) if self.weights is None else self.weights.astype(np.float64)
+        hits, accepted, positive = (
+            float(counts[each].sum()) for each in (is_accepted & is_positive, is_accepted, is_positive)
+        )
+        return BoxScores(
+            hits / accepted if accepted else math.nan,
+            hits / positive if positive else math.nan,
+            2 * hits / (accepted + positive) if accepted + positive else math.nan,
+        )
+
+
+EACH_AS_ONE = Counting()
+"""Each box counts once, and is accepted at a score above 0.5."""
 
 
 def light_logits(logits: NDArray[Any]) -> NDArray[Any]:

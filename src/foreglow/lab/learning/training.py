@@ -38,7 +38,7 @@ from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint
 from foreglow.lab.learning.networks import recipe_network
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import Samples
-from foreglow.lab.learning.scores import box_scores, kind_accuracy, light_logits
+from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
@@ -97,6 +97,7 @@ def train(
     make_network: MakeNetwork | None = None,
     start: str = "",
     teacher: Teacher | None = None,
+    counting: Counting = EACH_AS_ONE,
     device: str = "auto",
     progress: TrainingProgress | None = None,
 ) -> TrainingResult:
@@ -112,6 +113,7 @@ def train(
         make_network: Makes the network to train; None takes the recipe's from `networks.NETWORKS`, untrained.
         start: What the network has learnt before, such as a model's digest: another start does not continue this one.
         teacher: What is to be kept of a network, and on which training samples; None trains on labels alone.
+        counting: How precision, recall and F of the epochs count the validation samples.
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         progress: Called after every step and epoch.
 
@@ -142,7 +144,7 @@ def train(
         else:
             trainer.restore(checkpoint)
         while not _is_over(recipe, checkpoint):
-            epoch = trainer.run_epoch(checkpoint, val_samples, progress)
+            epoch = trainer.run_epoch(checkpoint, val_samples, counting, progress)
             checkpoint.epochs.append(dataclasses.asdict(epoch))
             checkpoint.network, checkpoint.averaged, checkpoint.optimiser = trainer.states()
             if best_number(recipe, checkpoint.epochs) == epoch.number:
@@ -250,7 +252,9 @@ class _Trainer:
         self._averaged = {name: value.to(self._device) for name, value in checkpoint.averaged.items()}
         self._optimiser.load_state_dict(checkpoint.optimiser)
 
-    def run_epoch(self, checkpoint: Checkpoint, val: Samples, progress: TrainingProgress | None) -> Epoch:
+    def run_epoch(
+        self, checkpoint: Checkpoint, val: Samples, counting: Counting, progress: TrainingProgress | None
+    ) -> Epoch:
         started = time.perf_counter()
         number = len(checkpoint.epochs) + 1
         val_losses = [row["val_loss"] for row in checkpoint.epochs]
@@ -272,7 +276,7 @@ class _Trainer:
         logits = self._validate(val)
         is_labelled = val.labels != IGNORED
         light, labels = light_logits(logits[is_labelled]), val.labels[is_labelled]
-        scores = box_scores(light, labels)
+        scores = counting[is_labelled].scores(light, labels)
         return Epoch(
             number=number,
             learning_rate=rate,
@@ -283,6 +287,7 @@ class _Trainer:
             f1=scores.f1,
             kind_accuracy=kind_accuracy(logits, val.kinds),
             seconds=time.perf_counter() - started,
+            threshold=counting.threshold,
         )
 
     def _step(self, batch: NDArray[np.intp], rate: float, random: torch.Generator) -> float:

@@ -18,12 +18,13 @@ class Epoch:
         learning_rate: Rate of its last step.
         train_loss: Mean loss over its augmented samples, during training.
         val_loss: Loss of the validation samples after it, without augmentation; positives weighted as in training.
-        precision: Precision of the validation boxes at a score of 0.5.
-        recall: Recall of the validation boxes at a score of 0.5.
-        f1: F of the validation boxes at a score of 0.5; NaN without positives.
+        precision: Precision of the validation boxes whose score is above `threshold`.
+        recall: Recall of the validation boxes by these.
+        f1: F of the validation boxes by these; NaN without positives.
         kind_accuracy: Share of the validation boxes with light whose kind is right, each kind counted alike; NaN if
             kinds are not trained.
         seconds: Duration, validation included.
+        threshold: Boxes with a score above it count as accepted.
     """
 
     number: int
@@ -35,6 +36,7 @@ class Epoch:
     f1: float
     kind_accuracy: float
     seconds: float
+    threshold: float = 0.5
 
 
 class TrainingProgress(Protocol):
@@ -60,10 +62,6 @@ class RunProgress(TrainingProgress, Protocol):
 class TrainingBar(Bar):
     """Shows the progress of a run and prints a line per epoch; without a terminal, the lines alone."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._best = 0.0
-
     def samples(self, split: str, num_done: int, num_images: int) -> None:
         """See `RunProgress.samples`."""
         self._show(f"{split} images", num_done, num_images)
@@ -74,10 +72,9 @@ class TrainingBar(Bar):
 
     def epoch(self, epoch: Epoch, num_epochs: int) -> None:
         """See `TrainingProgress.epoch`."""
-        self._best = max(self._best, epoch.f1)
         self._console.print(
             f"epoch {epoch.number}/{num_epochs}: loss {epoch.train_loss:.4f}, validation {epoch.val_loss:.4f}, "
-            f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} (best {self._best:.3f}), "
+            f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} at a score > {epoch.threshold:g}, "
             f"{epoch.seconds:.0f} s",
             highlight=False,
             soft_wrap=True,

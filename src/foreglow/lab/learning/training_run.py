@@ -23,7 +23,7 @@ from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
-from foreglow.lab.learning.scores import Calibrator, box_scores, fit_calibrator, light_logits
+from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
 
@@ -178,7 +178,7 @@ def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]
     before, after = light_logits(logits), light_logits(calibrator.applied(logits))
     errors = [expected_calibration_error(expit(values), labels) for values in (before, after)]
     return {
-        **dataclasses.asdict(box_scores(after, labels)),
+        **dataclasses.asdict(EACH_AS_ONE.scores(after, labels)),
         "temperature": calibrator.temperature,
         "shift": calibrator.shift,
         "log_loss": {"before": log_loss(before, labels), "after": log_loss(after, labels)},

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.display.overlay import Colour, Picture
-from foreglow.display.pen import Pen
+from foreglow.display.pen import REFERENCE_HEIGHT_PX, Pen
 from foreglow.display.tone import Tone
 from foreglow.files import MIB, open_atomic, read_text, write_atomic
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
@@ -44,7 +44,6 @@ def draw_curves(curves: Path, picture: Path) -> None:
     lines = read_text(curves, MIB).splitlines()
     rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
     numbers = [row["number"] for row in rows]
-    best = max(rows, key=lambda row: row["f1"] if row["f1"] == row["f1"] else -1.0)
     figure = Figure(figsize=(10, 4), layout="constrained")
     losses, scores = figure.subplots(1, 2)
     for name, label in (("train_loss", "training (augmented)"), ("val_loss", "validation")):
@@ -56,7 +55,7 @@ def draw_curves(curves: Path, picture: Path) -> None:
     losses.legend()
     for name, label in (("f1", "F"), ("precision", "precision"), ("recall", "recall")):
         scores.plot(numbers, [row[name] for row in rows], label=label)
-    scores.set(xlabel="epoch", ylim=(0, 1), title=f"validation boxes, score 0.5: F {best['f1']:.3f} at best")
+    scores.set(xlabel="epoch", ylim=(0, 1), title=f"validation boxes, score > {rows[-1]['threshold']:g}")
     scores.legend(loc="lower right")
     with open_atomic(picture) as target:
         figure.savefig(target, format="png", dpi=120)
@@ -74,12 +73,15 @@ _LIGHT: Colour = (80, 220, 80)
 _FALSE: Colour = (80, 80, 255)
 _DOUBTFUL: Colour = (0, 200, 255)
 _COLOURS = {POSITIVE: _LIGHT, NEGATIVE: _FALSE}
+LEGEND = {"light of a vehicle": _LIGHT, "no light of a vehicle": _FALSE, "doubtful": _DOUBTFUL}
+LEGEND_HEIGHT_PX = 28
 
 
 def draw_changes(judged: Sequence[Judged], folder: Path) -> Path | None:
     """Draws the images with the most changed boxes, before on the left and after on the right; None without any.
 
-    Accepted boxes with labelled light are green, those without are red, and those with doubtful light yellow.
+    Accepted boxes with labelled light are green, those without are red, and those with doubtful light yellow, as the
+    legend on top says.
 
     Raises:
         FileNotFoundError: If an image is missing.
@@ -93,9 +95,23 @@ def draw_changes(judged: Sequence[Judged], folder: Path) -> Path | None:
             counts += [(-int(number), part, int(image_id)) for image_id, number in zip(ids, numbers, strict=True)]
     if not counts:
         return None
-    rows = [_row(judged[part], image_id) for _, part, image_id in sorted(counts)[:MAX_IMAGES]]
+    rows = [_legend(), *(_row(judged[part], image_id) for _, part, image_id in sorted(counts)[:MAX_IMAGES])]
     write_atomic(folder / CHANGES, cv2.imencode(".jpg", np.concatenate(rows))[1].tobytes())
     return folder / CHANGES
+
+
+def _legend() -> Picture:
+    """What the colours of boxes mean, as wide as a row."""
+    picture: Picture = np.zeros((LEGEND_HEIGHT_PX, 2 * WIDTH_PX, 3), np.uint8)
+    pen, x_px, middle_px = Pen(REFERENCE_HEIGHT_PX), 8, LEGEND_HEIGHT_PX // 2
+    words = "accepted boxes, labelled as:"
+    pen.write(picture, words, (x_px, middle_px + 5), (255, 255, 255), size=10)
+    x_px += pen.width_px(words, size=10) + 16
+    for words, colour in LEGEND.items():
+        cv2.rectangle(picture, (x_px, middle_px - 7), (x_px + 14, middle_px + 7), colour, cv2.FILLED)
+        pen.write(picture, words, (x_px + 22, middle_px + 5), (255, 255, 255), size=10)
+        x_px += pen.width_px(words, size=10) + 46
+    return picture
 
 
 def _row(judged: Judged, image_id: int) -> Picture:
