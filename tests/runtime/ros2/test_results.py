@@ -284,7 +284,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from foreglow.runtime.ros2.input_messages import camera_info_message, image_message, read_camera_info, read_image
 from foreglow.runtime.ros2.header import Header, read_header
 from foreglow.runtime.ros2.results import detections_message, read_beam, read_detections, read_tracks
-from tests.runtime.ros2.test_messages import camera
+from tests.runtime.ros2.test_input_messages import camera
 from tests.runtime.ros2.test_results import detections_of
 
 number = random.Random(SEED)
