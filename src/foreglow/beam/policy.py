@@ -12,6 +12,7 @@ import numpy as np
 from foreglow.beam.bearings import NO_VEHICLE, Bearing, Bearings
 from foreglow.beam.dimming import Dimmer, Ramp
 from foreglow.beam.gaps import Gap, merged
+from foreglow.beam.in_sight import SURE_DIRECT
 from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.beam.questions import DIP, Questions
 from foreglow.config import BeamConfig
@@ -240,7 +241,7 @@ class ForeglowPolicy(BeamPolicy):
                 believed = self._questions.believed(now_ns, unexplained, is_open=is_open)
                 self._dips = [self._light_gap(bearing) for bearing in self._questions.dipped(now_ns, bearings)]
                 unexplained = believed
-        in_sight = {bearing.vehicle for bearing in lamps.values()} - {NO_VEHICLE}
+        in_sight = {bearing.vehicle for bearing in lamps.values() if bearing.direct > SURE_DIRECT} - {NO_VEHICLE}
         for vehicle, key, gap in self._hidden_gaps(frame, unexplained):
             self._held[key] = _Held(now_ns, vehicle, gap)
         for key, before in held.items():
@@ -281,7 +282,8 @@ class ForeglowPolicy(BeamPolicy):
         vehicle_rad, outside_rad = math.atan2(VEHICLE_M, near_m), math.atan2(OUTSIDE_M, near_m)
         right_rad = left_rad = vehicle_rad
         if bearing.vehicle != NO_VEHICLE:
-            apart_rad = [lamp.azimuth_rad - bearing.azimuth_rad for lamp in lamps if lamp.vehicle == bearing.vehicle]
+            others = [lamp for lamp in lamps if lamp.vehicle == bearing.vehicle and lamp.direct > SURE_DIRECT]
+            apart_rad = [lamp.azimuth_rad - bearing.azimuth_rad for lamp in others]
             is_right = any(outside_rad <= apart <= 2.0 * vehicle_rad for apart in apart_rad)
             is_left = any(outside_rad <= -apart <= 2.0 * vehicle_rad for apart in apart_rad)
             if is_right != is_left:
