@@ -232,7 +232,7 @@ def test_the_guard_leaves_that_light_out_as_well() -> None:
     stage = BeamStage(CONFIG, GuardConfig())
     for number in range(30):
         command = stage.command(frame(number), of_vehicles(tracks_at(number, SURE, BESIDE), 3, 3, confidence=0.9))
-    gaps = [Gap(*borders, 0.0, 0.0) for borders in command.gaps_rad.tolist()]
+    gaps = [Gap(right, left, 0.0, 0.0) for right, left in command.gaps_rad.tolist()]
     assert command.mode == BeamMode.GLARE_FREE
     assert holding(gaps, SURE.azimuth_rad)
     assert not holding(gaps, BESIDE.azimuth_rad)
