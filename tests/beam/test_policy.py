@@ -127,15 +127,20 @@ def test_nearer_vehicles_have_wider_gaps_and_unknown_ranges_are_taken_as_near() 
     assert len(set(widths)) == 4
 
 
-def test_the_gap_leads_a_lamp_that_moves_aside() -> None:
+def test_the_gap_is_where_a_lamp_that_moves_aside_will_be() -> None:
     towards_left, away = (
         gaps_after(policy(), *((LAMP._replace(azimuth_rad=rate * S * number),) for number in range(20)))[0]
         for rate in (0.1, -0.1)
     )
-    middle, _ = from_origin(0.1 * S * 19, LAMP.range_m)
-    lead = towards_left.left_rad - middle - (middle - towards_left.right_rad)
-    assert lead == pytest.approx(0.1 * CONFIG.latency_s, rel=0.1)
+    now_rad, _ = from_origin(0.1 * S * 19, LAMP.range_m)
+    lead_rad = 0.5 * (towards_left.right_rad + towards_left.left_rad) - now_rad
+    assert lead_rad == pytest.approx(0.1 * CONFIG.latency_s, rel=0.1)
     assert away.right_rad == pytest.approx(-towards_left.left_rad, abs=1e-3)
+    assert away.left_rad == pytest.approx(-towards_left.right_rad, abs=1e-3)
+    (still,) = policy().gaps(frame(0), tracks_at(0, LAMP))
+    assert towards_left.left_rad - towards_left.right_rad == pytest.approx(still.left_rad - still.right_rad, rel=0.01)
+    (fast,) = gaps_after(policy(), *((LAMP._replace(azimuth_rad=0.03 * number),) for number in range(10)))
+    assert fast.right_rad < from_origin(0.27, LAMP.range_m)[0]  # the lamp itself, too
 
 
 def test_light_on_things_has_its_gap_where_the_vehicle_will_appear() -> None:

@@ -163,8 +163,8 @@ class ForeglowPolicy(BeamPolicy):
 
     A vehicle is acted on as soon as it is confirmed, by its leading track, however sure each of its tracks is.
 
-    * The gap of a lamp leads it by the latency, and covers the whole vehicle. Rear lamps count as front lamps: mirrors
-      dazzle, too.
+    * The gap of a lamp holds it, and the whole vehicle where that will be after the latency. Rear lamps count as front
+      lamps: mirrors dazzle, too.
     * Light on the road or the roadside, of front or rear lamps, needs no protection, but its vehicle does, which is
       further along the road: the gap covers most of the probability of where it will appear (`occurrence`). Without a
       road, it is at the light.
@@ -291,8 +291,8 @@ class ForeglowPolicy(BeamPolicy):
         edge_rad = 2.0 * BOX_SHARE * bearing.half_width_rad + self._margin_rad
         lead_rad = bearing.rate_radps * self._config.latency_s
         return Gap(
-            bearing.azimuth_rad - edge_rad - right_rad + min(lead_rad, 0.0),
-            bearing.azimuth_rad + edge_rad + left_rad + max(lead_rad, 0.0),
+            bearing.azimuth_rad - edge_rad + min(lead_rad - right_rad, 0.0),
+            bearing.azimuth_rad + edge_rad + max(lead_rad + left_rad, 0.0),
             near_m,
             far_m,
         )
