@@ -29,5 +29,6 @@ def lamps_in_sight(tracks: Tracks, min_direct: float) -> NDArray[np.bool_]:
         is_sure = tracks.is_plausible & (direct > SURE_DIRECT)
         if is_sure.any():
             of_tracks = tracks.vehicles.of_tracks
-            is_lamp &= ~(direct <= SURE_DIRECT) | ~np.isin(of_tracks, of_tracks[is_sure])
+            has_sure = (of_tracks[:, np.newaxis] == of_tracks[is_sure]).any(axis=1)
+            is_lamp &= ~(direct <= SURE_DIRECT) | ~has_sure
     return np.asarray(is_lamp)
