@@ -1,7 +1,8 @@
 """Run-time of policy, guard and messages: `python -m benchmarks.beam [--out FILE.json] [--quick]`.
 
 One thread. Messages are compared with cantools by the same DBC. Policy and guard are given the lamps of vehicles, two
-each, that come nearer, or light on the road far ahead whose vehicle is hidden.
+each, that come nearer, or light on the road far ahead whose vehicle is hidden. With tracking, they are given what our
+tracker makes of the lamps of eight vehicles; that alone is compared with the published code's tracker.
 """
 
 from __future__ import annotations
@@ -19,16 +20,31 @@ from foreglow.beam.camera_watch import NUM_RECENT
 from foreglow.beam.guard import Guard
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, OWN_DBC, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
-from foreglow.config import BeamConfig, GuardConfig
+from foreglow.beam.stage import BeamStage
+from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, BeamConfig, GuardConfig, TrackerConfig
 from foreglow.datasets.vehicle_logs.can_log import read_dbc
 from foreglow.geometry import Camera, Pose
 from foreglow.photometry import read_headlamps
-from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState
+from foreglow.tracking import make_tracker
+from foreglow.types import (
+    BeamCommand,
+    BeamMode,
+    Detections,
+    EgoMotion,
+    Frame,
+    Proposals,
+    Ranges,
+    RoadAhead,
+    Tracks,
+    TrackState,
+)
 from foreglow.types.kinds import kinds_of_direct
 
 FRAME_NS = 55_555_556
 NUM_FRAMES = 400
 NUM_LAMPS = (0, 2, 4, 8)
+NUM_VEHICLES = 8
+WHOLE, PUBLISHED = (f"{what}: {NUM_VEHICLES} vehicles" for what in ("tracking, policy, guard", "published tracker"))
 MOUNT = Pose(np.array([1.8, 0.0, 1.35]), np.eye(3))
 CAMERA = Camera(1280, 960, (1350.0, 1350.0), (640.0, 490.0), (-0.07, 0.015, 1e-4, -2e-5, 0.0), MOUNT)
 
@@ -85,6 +101,31 @@ def next_command(num_lights: int, direct: float) -> Callable[[], object]:
     return step
 
 
+def next_stage(config: TrackerConfig, *, with_beam: bool) -> Callable[[], object]:
+    """A call that tracks the lamps of eight vehicles and, `with_beam`, makes and checks the command."""
+    tracker, stage = make_tracker(config), BeamStage(BeamConfig(policy="foreglow"), GuardConfig())
+    coming = itertools.cycle([(frame, *measured(tracks)) for tracks, frame in drive(2 * NUM_VEHICLES, 0.97)])
+
+    def step() -> object:
+        frame, detections, ranges = next(coming)
+        if frame.timestamp_ns == 0:
+            tracker.reset()
+            stage.reset()
+        tracks = tracker.update(frame, detections, ranges)
+        return stage.command(frame, tracks) if with_beam else tracks
+
+    return step
+
+
+def measured(tracks: Tracks) -> tuple[Detections, Ranges]:
+    """What a detector and a distance estimator say of these tracks."""
+    boxes = np.rint(tracks.boxes_xyxy_px).astype(np.int32)
+    boxes[:, 2:] = np.maximum(boxes[:, 2:], boxes[:, :2] + 5)
+    scores = np.full(len(tracks), 0.97, np.float32)
+    detections = Detections(Proposals(boxes), scores, 0.5, tracks.light_kinds.astype(np.float32))
+    return detections, Ranges(detections, tracks.ranges_m, tracks.sigmas_m)
+
+
 def codecs() -> dict[str, Callable[[], object]]:
     """Calls that encode a command, decode its frames, and receive them; ours and those of cantools."""
     random = np.random.default_rng(0)
@@ -111,20 +152,26 @@ def codecs() -> dict[str, Callable[[], object]]:
 
 
 def measure(rounds: int) -> list[Row]:
-    """Median and p99 of one command, and how many times quicker than cantools."""
+    """Median and p99 of one command, and how many times quicker than cantools or the published tracker."""
     calls = {f"policy, guard, encode: {count} lamps": next_command(count, 0.9) for count in NUM_LAMPS}
-    calls |= {"policy, guard, encode: hidden vehicle": next_command(2, 0.1)} | codecs()
+    calls |= {
+        "policy, guard, encode: hidden vehicle": next_command(2, 0.1),
+        WHOLE: next_stage(OUR_TRACKER, with_beam=True),
+        "… tracking alone": next_stage(OUR_TRACKER, with_beam=False),
+        PUBLISHED: next_stage(PUBLISHED_TRACKER, with_beam=False),
+    }
+    calls |= codecs()
     times = interleaved({name: Contender(call, calls=20) for name, call in calls.items()}, rounds)
     rows = []
     for name, its in times.items():
-        reference = times.get(f"{name}, cantools")
+        reference = times[PUBLISHED] if name == WHOLE else times.get(f"{name}, cantools")
         row: Row = {"what": name, "speed_up": None if reference is None else its.speed_up_over(reference)}
         rows.append(row | its.figures())
     return rows
 
 
 def beam_table(rows: Sequence[Row]) -> Table:
-    shown = table("One beam command, one thread", ("",), ("median ms", "p99 ms", "times cantools"))
+    shown = table("One beam command, one thread", ("",), ("median ms", "p99 ms", "times reference"))
     for row in rows:
         ratio = "" if row["speed_up"] is None else f"{row['speed_up']:.1f}"
         shown.add_row(row["what"], *in_ms(row, "median_ms", "p99_ms"), ratio)

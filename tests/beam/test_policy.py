@@ -12,7 +12,8 @@ import pytest
 from foreglow.beam import POLICIES, Gap, make_policy, occurrence
 from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.policy import ForeglowPolicy, PaperPolicy, brightness
-from foreglow.config import BeamConfig
+from foreglow.beam.stage import BeamStage
+from foreglow.config import BeamConfig, GuardConfig
 from foreglow.photometry import read_headlamps
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState, Vehicles
 from foreglow.types.kinds import kinds_of_direct
@@ -127,15 +128,20 @@ def test_nearer_vehicles_have_wider_gaps_and_unknown_ranges_are_taken_as_near() 
     assert len(set(widths)) == 4
 
 
-def test_the_gap_leads_a_lamp_that_moves_aside() -> None:
+def test_the_gap_is_where_a_lamp_that_moves_aside_will_be() -> None:
     towards_left, away = (
         gaps_after(policy(), *((LAMP._replace(azimuth_rad=rate * S * number),) for number in range(20)))[0]
         for rate in (0.1, -0.1)
     )
-    middle, _ = from_origin(0.1 * S * 19, LAMP.range_m)
-    lead = towards_left.left_rad - middle - (middle - towards_left.right_rad)
-    assert lead == pytest.approx(0.1 * CONFIG.latency_s, rel=0.1)
+    now_rad, _ = from_origin(0.1 * S * 19, LAMP.range_m)
+    lead_rad = 0.5 * (towards_left.right_rad + towards_left.left_rad) - now_rad
+    assert lead_rad == pytest.approx(0.1 * CONFIG.latency_s, rel=0.1)
     assert away.right_rad == pytest.approx(-towards_left.left_rad, abs=1e-3)
+    assert away.left_rad == pytest.approx(-towards_left.right_rad, abs=1e-3)
+    (still,) = policy().gaps(frame(0), tracks_at(0, LAMP))
+    assert towards_left.left_rad - towards_left.right_rad == pytest.approx(still.left_rad - still.right_rad, rel=0.01)
+    (fast,) = gaps_after(policy(), *((LAMP._replace(azimuth_rad=0.03 * number),) for number in range(10)))
+    assert fast.right_rad < from_origin(0.27, LAMP.range_m)[0]  # the lamp itself, too
 
 
 def test_light_on_things_has_its_gap_where_the_vehicle_will_appear() -> None:
@@ -212,6 +218,79 @@ def test_each_hidden_vehicle_has_a_gap_of_its_own_and_keeps_it_for_a_while() -> 
     assert made.gaps(frame(1), of_vehicles(tracks_at(1, far), 7, confidence=0.9)) == of_far + of_near
     assert made.gaps(frame(20), of_vehicles(tracks_at(20, far), 7, confidence=0.9)) == of_far
     assert policy().gaps(frame(0), of_vehicles(tracks_at(0, near, far), 3, 3, confidence=0.9)) == of_far
+
+
+SURE = LAMP._replace(direct=0.99)
+BESIDE = Seen(-0.1, direct=0.7, number=6)
+"""Light on a rail that looks half like a lamp."""
+
+
+def test_light_beside_a_sure_lamp_of_its_vehicle_opens_no_gap() -> None:
+    sure, unsure = SURE, SURE._replace(direct=0.7)
+    for lamp, vehicles, num_gaps in ((sure, (3, 3), 1), (unsure, (3, 3), 2), (sure, (3, 4), 2)):
+        gaps = policy().gaps(frame(0), of_vehicles(tracks_at(0, lamp, BESIDE), *vehicles, confidence=0.9))
+        assert len(gaps) == num_gaps
+        assert holding(gaps, lamp.azimuth_rad)
+        assert bool(holding(gaps, BESIDE.azimuth_rad)) == (num_gaps == 2)
+
+
+def test_the_guard_leaves_that_light_out_as_well() -> None:
+    stage = BeamStage(CONFIG, GuardConfig())
+    for number in range(30):
+        command = stage.command(frame(number), of_vehicles(tracks_at(number, SURE, BESIDE), 3, 3, confidence=0.9))
+    gaps = [Gap(right, left, 0.0, 0.0) for right, left in command.gaps_rad.tolist()]
+    assert command.mode == BeamMode.GLARE_FREE
+    assert holding(gaps, SURE.azimuth_rad)
+    assert not holding(gaps, BESIDE.azimuth_rad)
+
+
+def test_no_gap_is_held_for_a_vehicle_that_another_lamp_shows() -> None:
+    """Neither that of a lamp that was none, nor the one that was open while the vehicle was hidden.
+
+    A lamp that is unsure may be light: while it comes and goes, the gap for the hidden vehicle stays.
+    """
+    first, second = LAMP, SURE._replace(azimuth_rad=-0.1, number=6)
+    unsure = second._replace(direct=0.7)
+    for before in (first, LIGHT._replace(azimuth_rad=first.azimuth_rad)):
+        for now, vehicle, is_held in ((second, 3, False), (second, 4, True), (unsure, 3, True)):
+            made = policy()
+            (old,) = made.gaps(frame(0, None), of_vehicles(tracks_at(0, before), 3, confidence=0.9))
+            gaps = made.gaps(frame(1, None), of_vehicles(tracks_at(1, now), vehicle, confidence=0.9))
+            assert holding(gaps, second.azimuth_rad)
+            assert (old in gaps) == is_held
+
+
+def lamps_apart(apart_m: float, *vehicles: int, direct: float = 0.99) -> list[float]:
+    """The borders of all gaps of two lamps, 100 m away and so far apart, and where the lamps are, metres."""
+    lamps = [Seen(side * apart_m / 200, direct, 100.0, number=number) for number, side in enumerate((-1, 1))]
+    gaps = policy().gaps(frame(0), of_vehicles(tracks_at(0, *lamps), *vehicles, confidence=0.9))
+    places = [from_origin(lamp.azimuth_rad, lamp.range_m) for lamp in lamps]
+    borders = (min(gap.right_rad for gap in gaps), max(gap.left_rad for gap in gaps))
+    return [angle * places[0][1] for angle in (*borders, *(place[0] for place in places))]
+
+
+def test_the_gap_of_a_vehicle_with_both_lamps_in_sight_ends_beside_its_body() -> None:
+    right_m, left_m, first_m, last_m = lamps_apart(1.4, 3, 3)
+    edge_m = 100.0 * (0.3 * 0.003 + math.radians(CONFIG.margin_deg))
+    for outside_m in (first_m - right_m, left_m - last_m):
+        assert 0.4 < outside_m - edge_m < 0.7
+    # Of two vehicles, light below a lamp, two vehicles in one, or perhaps light beside a lamp.
+    for apart_m, vehicles, direct in (
+        (1.4, (3, 4), 0.99),
+        (0.3, (3, 3), 0.99),
+        (5.0, (3, 3), 0.99),
+        (1.4, (3, 3), 0.7),
+    ):
+        right_m, left_m, first_m, last_m = lamps_apart(apart_m, *vehicles, direct=direct)
+        for outside_m in (first_m - right_m, left_m - last_m):
+            assert outside_m - edge_m > 1.2
+
+
+def test_between_the_lamps_of_a_vehicle_it_is_dark() -> None:
+    for apart_m in (0.9, 1.4, 2.2):
+        lamps = [Seen(side * apart_m / 200, range_m=100.0, number=number) for number, side in enumerate((-1, 1))]
+        made = policy().command(frame(0), of_vehicles(tracks_at(0, *lamps), 3, 3, confidence=0.9))
+        assert len(made.gaps_rad) == 1
 
 
 def test_more_coverage_is_a_wider_gap() -> None:

@@ -18,12 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from foreglow.beam.in_sight import lamps_in_sight
 from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster
 from foreglow.types import Frame, Tracks
 
 RATE_GAIN = 0.25
 """Weight of a new rate in the filtered one, (2); a rate from two frames alone would be noise."""
+
+NO_VEHICLE = -1
+"""Stands for the id of a vehicle where none are known."""
 
 LEAVING_S = 0.5
 """A light leaves the image if its box reaches the left or the right border within this time."""
@@ -41,6 +45,8 @@ class Bearing:
         range_m: Range; NaN where unknown.
         sigma_m: Its standard deviation; infinite where it is unknown.
         direct: Probability that it is a lamp in sight, front or rear; NaN where unknown.
+        is_lamp: Whether it is taken for one (`lamps_in_sight`).
+        vehicle: The id of its vehicle; `NO_VEHICLE` without vehicles.
         confidence: The greatest confidence that the track ever had; that of its vehicle while it leads it, if greater.
         is_plausible: Whether the track may be acted on.
         is_leaving: Whether its box is at the left or the right border of the image, or will be within `LEAVING_S`.
@@ -53,6 +59,8 @@ class Bearing:
     range_m: float
     sigma_m: float
     direct: float
+    is_lamp: bool
+    vehicle: int
     confidence: float
     is_plausible: bool
     is_leaving: bool
@@ -61,7 +69,9 @@ class Bearing:
 class Bearings:
     """The bearings of all tracks by their ids, updated frame by frame."""
 
-    def __init__(self) -> None:
+    def __init__(self, min_direct: float = 0.5) -> None:
+        """Takes the probability above which a track is a lamp."""
+        self._min_direct = min_direct
         self._caster = RayCaster()
         self.reset()
 
@@ -78,6 +88,7 @@ class Bearings:
         if not len(tracks):
             return self._bearings
         azimuths, elevations, halves = self._directions(frame.camera, tracks)
+        vehicles = np.full(len(tracks), NO_VEHICLE) if tracks.vehicles is None else tracks.vehicles.of_tracks
         rows = zip(
             tracks.ids.tolist(),
             azimuths,
@@ -86,13 +97,16 @@ class Bearings:
             tracks.ranges_m.tolist(),
             tracks.sigmas_m.tolist(),
             tracks.direct_probabilities.tolist(),
+            lamps_in_sight(tracks, self._min_direct).tolist(),
+            vehicles.tolist(),
             _confidences(tracks).tolist(),
             tracks.is_plausible.tolist(),
             tracks.boxes_xyxy_px[:, ::2].tolist(),
             strict=True,
         )
         leaving_px = LEAVING_S * frame.camera.focal_px[0]
-        for track_id, azimuth, elevation, half, range_m, sigma_m, direct, confidence, is_plausible, (x1, x2) in rows:
+        for track_id, azimuth, elevation, half, range_m, sigma_m, direct, is_lamp, vehicle, confidence, *others in rows:
+            is_plausible, (x1, x2) = others
             before, rate = known.get(track_id), 0.0
             azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
             if before is not None:
@@ -102,7 +116,18 @@ class Bearings:
             shift_px = leaving_px * rate
             is_leaving = x1 - max(shift_px, 0.0) <= 0.0 or x2 - min(shift_px, 0.0) >= frame.width_px
             self._bearings[track_id] = Bearing(
-                azimuth, elevation, half, rate, range_m, sigma_m, direct, confidence, is_plausible, is_leaving
+                azimuth_rad=azimuth,
+                elevation_rad=elevation,
+                half_width_rad=half,
+                rate_radps=rate,
+                range_m=range_m,
+                sigma_m=sigma_m,
+                direct=direct,
+                is_lamp=is_lamp,
+                vehicle=vehicle,
+                confidence=confidence,
+                is_plausible=is_plausible,
+                is_leaving=is_leaving,
             )
         return self._bearings
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
-from foreglow.beam.bearings import Bearing, Bearings
+from foreglow.beam.bearings import NO_VEHICLE, Bearing, Bearings
 from foreglow.beam.gap_writer import GapWriter
 from foreglow.beam.gaps import Gap
+from foreglow.beam.in_sight import SURE_DIRECT
 from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.beam.questions import Questions
@@ -22,6 +24,9 @@ from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
 
 VEHICLE_M = 1.3
 """Distance across the line of sight from a visible lamp to beyond the driver's eyes: a lorry is 2.5 m wide."""
+
+OUTSIDE_M = 0.6
+"""The same away from the vehicle's other lamp, where that is in sight: to the outside of the body and its mirrors."""
 
 BOX_SHARE = 0.15
 """Standard deviation of a lamp's position in its box, as a share of the box's width."""
@@ -47,6 +52,14 @@ until then what reflects it has passed us as well."""
 
 HIDDEN = -1
 """The key of a hidden vehicle's gap is this less the id of the vehicle, or of the track whose light the gap is at."""
+
+
+class _Held(NamedTuple):
+    """A gap, which vehicle it is for, and when that was last seen."""
+
+    since_ns: int
+    vehicle: int
+    gap: Gap
 
 
 class SteadyBeam(BeamPolicy):
@@ -110,8 +123,8 @@ class ForeglowPolicy(BeamPolicy):
 
     A vehicle is acted on as soon as it is confirmed, by its leading track, however sure each of its tracks is.
 
-    * The gap of a lamp leads it by the latency, and covers the whole vehicle. Rear lamps count as front lamps: mirrors
-      dazzle, too.
+    * The gap of a lamp holds it, and the whole vehicle where that will be after the latency. Rear lamps count as front
+      lamps: mirrors dazzle, too.
     * Light on the road or the roadside, of front or rear lamps, needs no protection, but its vehicle does, which is
       further along the road: the gap covers most of the probability of where it will appear (`occurrence`). Without a
       road, it is at the light.
@@ -130,7 +143,7 @@ class ForeglowPolicy(BeamPolicy):
         self._config = config
         self._margin_rad = math.radians(config.margin_deg)
         self._hold_ns = round(config.hold_s * 1e9)
-        self._bearings = Bearings()
+        self._bearings = Bearings(config.min_direct)
         self._writer = GapWriter(config, headlamps)
         self._questions = Questions(config, headlamps) if config.ask else None
         self.reset()
@@ -142,7 +155,7 @@ class ForeglowPolicy(BeamPolicy):
         if self._questions is not None:
             self._questions.reset()
         self._dips: list[Gap] = []
-        self._held: dict[int, tuple[int, Gap]] = {}
+        self._held: dict[int, _Held] = {}
         self._lamps: dict[int, Bearing] = {}
         self._lights: frozenset[int] = frozenset()
         self._explained_ns: dict[int, int] = {}
@@ -173,10 +186,13 @@ class ForeglowPolicy(BeamPolicy):
         acted = {track_id: bearing for track_id, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
             acted |= {track_id: bearing for track_id, bearing in seen.items() if _is_coming(bearing)}
-        lamps = {track_id: bearing for track_id, bearing in acted.items() if self._is_lamp(bearing)}
+        lamps = {track_id: bearing for track_id, bearing in acted.items() if bearing.is_lamp}
         passed = {track_id for track_id, bearing in self._lamps.items() if bearing.is_leaving and track_id not in lamps}
         self._explain(now_ns, lamps, passed, bearings)
-        self._held = {track_id: (now_ns, self._lamp_gap(bearing)) for track_id, bearing in lamps.items()}
+        self._held = {
+            track_id: _Held(now_ns, bearing.vehicle, self._lamp_gap(bearing, lamps.values()))
+            for track_id, bearing in lamps.items()
+        }
         unexplained = {track_id: bearing for track_id, bearing in acted.items() if track_id not in self._explained_ns}
         if self._questions is not None:
             self._questions.look(frame, tracks, bearings)
@@ -185,11 +201,14 @@ class ForeglowPolicy(BeamPolicy):
                 believed = self._questions.believed(now_ns, unexplained, is_open=is_open)
                 self._dips = [self._light_gap(bearing) for bearing in self._questions.dipped(now_ns, bearings)]
                 unexplained = believed
-        self._held |= {key: (now_ns, gap) for key, gap in self._hidden_gaps(frame, tracks, unexplained).items()}
-        for track_id, (since_ns, gap) in held.items():
-            if track_id not in self._held and track_id not in passed and 0 <= now_ns - since_ns <= self._hold_ns:
-                self._held[track_id] = since_ns, gap
-        return [gap for _, gap in self._held.values()]
+        in_sight = {bearing.vehicle for bearing in lamps.values() if bearing.direct > SURE_DIRECT} - {NO_VEHICLE}
+        for vehicle, key, gap in self._hidden_gaps(frame, unexplained):
+            self._held[key] = _Held(now_ns, vehicle, gap)
+        for key, before in held.items():
+            is_over = key in passed or before.vehicle in in_sight
+            if key not in self._held and not is_over and 0 <= now_ns - before.since_ns <= self._hold_ns:
+                self._held[key] = before
+        return [kept.gap for kept in self._held.values()]
 
     def _explain(
         self, now_ns: int, lamps: Mapping[int, Bearing], passed: Collection[int], bearings: Mapping[int, Bearing]
@@ -210,48 +229,57 @@ class ForeglowPolicy(BeamPolicy):
     def _is_sure(self, bearing: Bearing) -> bool:
         """Whether a track is acted on; for light without a lamp this needs more confidence than for a lamp."""
         config = self._config
-        wanted = config.min_confidence if self._is_lamp(bearing) else config.min_hidden_confidence
+        wanted = config.min_confidence if bearing.is_lamp else config.min_hidden_confidence
         return bearing.is_plausible and bearing.confidence >= wanted
 
     def _is_road(self, bearing: Bearing) -> bool:
         """Whether a track that looks like a lamp must be light on the road."""
-        return self._is_lamp(bearing) and bearing.elevation_rad < LOWEST_LAMP_RAD
+        return bearing.is_lamp and bearing.elevation_rad < LOWEST_LAMP_RAD
 
-    def _is_lamp(self, bearing: Bearing) -> bool:
-        return not bearing.direct <= self._config.min_direct
-
-    def _lamp_gap(self, bearing: Bearing) -> Gap:
-        near_m, _ = _bounds_m(bearing)
-        gap = _around(
-            bearing, 2.0 * BOX_SHARE * bearing.half_width_rad + math.atan2(VEHICLE_M, near_m) + self._margin_rad
-        )
+    def _lamp_gap(self, bearing: Bearing, lamps: Collection[Bearing]) -> Gap:
+        """The gap that holds the vehicle of a lamp: less on the outside where its other lamp is among `lamps`."""
+        near_m, far_m = _bounds_m(bearing)
+        vehicle_rad, outside_rad = math.atan2(VEHICLE_M, near_m), math.atan2(OUTSIDE_M, near_m)
+        right_rad = left_rad = vehicle_rad
+        if bearing.vehicle != NO_VEHICLE:
+            others = [lamp for lamp in lamps if lamp.vehicle == bearing.vehicle and lamp.direct > SURE_DIRECT]
+            apart_rad = [lamp.azimuth_rad - bearing.azimuth_rad for lamp in others]
+            is_right = any(outside_rad <= apart <= 2.0 * vehicle_rad for apart in apart_rad)
+            is_left = any(outside_rad <= -apart <= 2.0 * vehicle_rad for apart in apart_rad)
+            if is_right != is_left:
+                right_rad, left_rad = (outside_rad, vehicle_rad) if is_right else (vehicle_rad, outside_rad)
+        edge_rad = 2.0 * BOX_SHARE * bearing.half_width_rad + self._margin_rad
         lead_rad = bearing.rate_radps * self._config.latency_s
-        return gap._replace(right_rad=gap.right_rad + min(lead_rad, 0.0), left_rad=gap.left_rad + max(lead_rad, 0.0))
+        return Gap(
+            bearing.azimuth_rad - edge_rad + min(lead_rad - right_rad, 0.0),
+            bearing.azimuth_rad + edge_rad + max(lead_rad + left_rad, 0.0),
+            near_m,
+            far_m,
+        )
 
-    def _hidden_gaps(self, frame: Frame, tracks: Tracks, acted: Mapping[int, Bearing]) -> dict[int, Gap]:
-        """A gap for each hidden vehicle, if there is light but no lamp in sight; their keys are `HIDDEN` or smaller.
+    def _hidden_gaps(self, frame: Frame, acted: Mapping[int, Bearing]) -> list[tuple[int, int, Gap]]:
+        """A gap for each hidden vehicle, if there is light but no lamp in sight: vehicle, key and gap.
 
-        Where no vehicles are known, all light is one vehicle's.
+        The keys are `HIDDEN` or smaller. Where no vehicles are known, all light is one vehicle's.
         """
         if any(bearing.direct > self._config.min_direct for bearing in acted.values()):
-            return {}
-        vehicles = np.zeros(len(tracks), np.int64) if tracks.vehicles is None else tracks.vehicles.of_tracks
+            return []
         by_vehicle: dict[int, dict[int, Bearing]] = {}
-        for track_id, vehicle in zip(tracks.ids.tolist(), vehicles.tolist(), strict=True):
-            if track_id in acted:
-                by_vehicle.setdefault(vehicle, {})[track_id] = acted[track_id]
-        gaps: dict[int, Gap] = {}
+        for track_id, bearing in acted.items():
+            by_vehicle.setdefault(bearing.vehicle, {})[track_id] = bearing
+        gaps: list[tuple[int, int, Gap]] = []
         for vehicle, lights in by_vehicle.items():
             expected = self._expected(frame, lights.values())
             if expected is None:
-                gaps |= {HIDDEN - track_id: self._light_gap(bearing) for track_id, bearing in lights.items()}
+                gaps += [(vehicle, HIDDEN - track_id, self._light_gap(bearing)) for track_id, bearing in lights.items()]
                 continue
             self.expected = self.expected or expected
             tail = 0.5 * (1.0 - self._config.coverage)
             right, left = expected.quantiles_rad((tail, 1.0 - tail))
             near_m = expected.nearest_m(tail)
             half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
-            gaps[HIDDEN - vehicle] = Gap(right - half_rad, left + half_rad, near_m, math.inf)
+            key = HIDDEN - max(vehicle, 0)
+            gaps.append((vehicle, key, Gap(right - half_rad, left + half_rad, near_m, math.inf)))
         return gaps
 
     def _expected(self, frame: Frame, lights: Collection[Bearing]) -> Occurrence | None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from foreglow.beam.guard import Guard
+from foreglow.beam.in_sight import lamps_in_sight
 from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.lit_street import ROAD_LIT, LitStreet
 from foreglow.beam.policy import make_policy
@@ -63,8 +62,6 @@ class BeamStage:
         Raises:
             ValueError: If a plug-in returns something that is no command.
         """
-        direct = tracks.direct_probabilities
-        is_vehicle = np.isnan(direct) | (direct > self._min_direct)
         wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
         if self._lit_street.update(frame):
             faults = (*faults, ROAD_LIT)
@@ -74,7 +71,7 @@ class BeamStage:
             frame,
             time_ns=now_ns and now_ns(),
             pipeline_faults=faults,
-            is_vehicle=is_vehicle,
+            is_vehicle=lamps_in_sight(tracks, self._min_direct),
         )
         self._policy.shone(passed)
         return passed
