@@ -1,6 +1,6 @@
 """What `make docs` adds to MkDocs: links to files outside `docs/`, and equations without scripts.
 
-A link to a file of the repository, such as `../src/foreglow/beam/vehicles.py`, is right on GitHub as it stands. In the
+A link to a file of the repository, such as `../src/foreglow/beam/policy.py`, is right on GitHub as it stands. In the
 site it leads to a page that holds this file: Markdown as a page like any other, anything else as highlighted text.
 Equations between dollar signs, as GitHub shows them, become MathML, which browsers show by themselves.
 """

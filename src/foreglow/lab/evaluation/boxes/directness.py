@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.beam.vehicles import group_vehicles
 from foreglow.calibration import read_calibration
 from foreglow.datasets import LabelledSource
 from foreglow.files import fields_to_json
@@ -18,6 +17,7 @@ from foreglow.geometry import Camera
 from foreglow.lab.evaluation.boxes.breakdown import SplitLabels
 from foreglow.lab.evaluation.boxes.lights import Light
 from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.evaluation.lamp_pairs import group_vehicles
 from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.runs.predictions import Predictions
 from foreglow.types import KINDS, Tracks
@@ -133,7 +133,7 @@ def directness_of_tracks(labels: SplitLabels, tracks: Mapping[int, Tracks]) -> D
 def vehicles_of_tracks(
     labels: SplitLabels, tracks: Mapping[int, Tracks], cameras: Mapping[int, Camera]
 ) -> VehicleQuality | None:
-    """How well `beam.vehicles.group_vehicles` finds which two tracks are one vehicle's."""
+    """How well `lamp_pairs.group_vehicles` finds which two tracks are one vehicle's."""
     num_pairs, num_right, num_vehicles, num_found = 0, 0, 0, 0
     for image_id, in_image in tracks.items():
         camera = cameras.get(labels.sequence_of.get(image_id, -1))

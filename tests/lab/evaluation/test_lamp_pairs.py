@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreglow.beam.vehicles import group_vehicles
 from foreglow.geometry import Camera
+from foreglow.lab.evaluation.lamp_pairs import group_vehicles
 from foreglow.types import Tracks, TrackState
 from foreglow.types.kinds import kinds_of_direct
 from tests.stand_ins import tracks_of
