@@ -35,16 +35,12 @@ def exported(run: Path, out: Path) -> tuple[object, ...]:
     return ("export-mot", run, shipped_drive(), "--out", out / "mot")
 
 
-def calibrated(_: Path, out: Path) -> tuple[object, ...]:
-    return ("calibrate", "auto", shipped_drive(), "--fov", 40, "--out", out / "camera.toml")
-
-
 def suggested(run: Path, out: Path) -> tuple[object, ...]:
     runs = [Path(shutil.copytree(run, out / name, dirs_exist_ok=True)) for name in ("one", "two")]
     return ("suggest", *runs, "--frames", 5)
 
 
-@pytest.mark.parametrize("command", [evaluated, exported, calibrated, suggested])
+@pytest.mark.parametrize("command", [evaluated, exported, suggested])
 def test_all_or_nothing(
     command: Callable[[Path, Path], tuple[object, ...]], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
