@@ -52,7 +52,7 @@ ALLOWED: dict[str, set[str]] = {
     "lab": set(),
     "lab.simulation": VALUES | BASES | {"calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
     "lab.evaluation": CAR,
-    "lab.learning": CAR | {"models", "lab.simulation", "lab.evaluation"},
+    "lab.learning": CAR | {"models", "outputs", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"outputs", "lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR | {"models", "options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,

@@ -123,6 +123,16 @@ def test_a_folder_inside_an_input(tmp_path: Path) -> None:
         (data / "out" / name).unlink()
 
 
+def test_a_split_of_an_input_is_no_folder_for_results(tmp_path: Path) -> None:
+    """Though it has the names of results, those of `simulate`."""
+    split = tmp_path / "data" / "test"
+    (split / "labels").mkdir(parents=True)
+    for name in ("labels/sequences.json", "scenes.jsonl"):
+        (split / name).touch()
+    with pytest.raises(ValueError, match="expected a new folder for the results, not a part of DATA"):
+        check_outputs({"DATA": tmp_path / "data"}, {}, {"--out": split})
+
+
 def test_a_file_of_an_input_folder(tmp_path: Path) -> None:
     labels = tmp_path / "data" / "labels" / "sequences.json"
     labels.parent.mkdir(parents=True)
@@ -236,6 +246,10 @@ def test_the_labels_of_a_sequence_and_the_file_of_a_scene_are_inputs_too(tmp_pat
     (labels / "sequences.mcap").touch()
     words = ("run", sequence, "--out", tmp_path / "out", "--record", labels / "sequences.mcap")
     assert "does not overwrite a part of the labels of SOURCE" in complaint(*words)
+    for name in ("1.png", "2.png"):
+        (sequence / name).touch()
+    words = ("calibrate", "check", tmp_path / "camera.toml", sequence / "1.png", "--out", sequence / "2.png")
+    assert "does not overwrite a part of the sequence of IMAGE" in complaint(*words)
     scene = tmp_path / "scene.mcap"
     scene.touch()
     assert "does not overwrite SOURCE" in complaint("live", f"simulate:{scene}", "--record", scene)

@@ -210,7 +210,7 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
-            if _lies_in(path, read) and _is_foreign(path):
+            if _lies_in(path, read) and (_is_foreign(path) or _is_split(path)):
                 raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
@@ -331,6 +331,11 @@ def _is_foreign(folder: Path) -> bool:
         return False
     names = {path.name.removesuffix(".partial") for path in folder.iterdir() if not path.name.startswith(".")}
     return bool(names) and names.isdisjoint(RESULT_FILES)
+
+
+def _is_split(folder: Path) -> bool:
+    """Whether a folder is a split in PVDN's format, which has names of results, too."""
+    return any((folder / "labels" / name).is_file() for name in ("sequences.json", "image_annotations.json"))
 
 
 def check_replaceable(path: Path) -> None:

@@ -23,7 +23,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
-from foreglow.outputs import TRAINING, TUNING, check_own
+from foreglow.outputs import TRAINING, TUNING, check_own, locked
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -55,7 +55,7 @@ def annotate(
     workers = work.workers()
     configuration = PipelineOptions(preset=preset, config=config).configuration()
     roots = splits_to_annotate(data, tuple(split or ()))
-    with StepProgress() as progress:
+    with locked({str(root): root / "labels" for root in roots}), StepProgress() as progress:
         annotations = [
             annotate_split(root, configuration, preset, workers=workers, progress=progress) for root in roots
         ]

@@ -14,6 +14,7 @@ from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import annotation_quality
 from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, splits_to_annotate
+from foreglow.outputs import FolderLock
 from foreglow.parallel import Local
 from foreglow.proposals import make_proposer
 from tests.cli.commands import complaint, foreglow_command
@@ -162,6 +163,15 @@ def test_boxes_never_replace_key_points(split: Path) -> None:
     with pytest.raises(ValueError, match=r"bounding_boxes: expected a folder of its own, got a link to the key points"):
         annotate_split(split, PAPER)
     assert (split / "labels/keypoints/000100.json").read_bytes() == before
+
+
+def test_a_split_is_annotated_by_one(split: Path) -> None:
+    """Else the boxes of two presets would be mixed, and each record would call them its own."""
+    with FolderLock(split / "labels"):  # as another process has it
+        with pytest.raises(ValueError, match="labels: another run is writing into this folder"):
+            annotate_split(split, PAPER)
+        assert "another run is writing into this folder" in complaint("annotate", split)
+    annotate_split(split, PAPER)
 
 
 def test_missing_image(split: Path) -> None:

@@ -95,6 +95,16 @@ def test_an_interrupted_training_ends_with_the_same_bits(tmp_path: Path, fields:
     assert len(curves[0]) == RECIPE.epochs
 
 
+def test_an_interruption_after_the_best_epoch_keeps_its_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "best_number", lambda *_: 1)
+    whole = run(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "parts", progress=StopAfter(2, 1))
+    assert weights(run(tmp_path / "parts")) == weights(whole)
+
+
 def test_seed_decides_everything(tmp_path: Path, whole: TrainingResult) -> None:
     torch.manual_seed(7)
     state = torch.get_rng_state()

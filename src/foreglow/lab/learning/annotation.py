@@ -26,6 +26,7 @@ from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
 from foreglow.files import to_json, write_atomic
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.outputs import FolderLock
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 
@@ -185,10 +186,17 @@ def annotate_split(
 
     Raises:
         FileNotFoundError: If the split, an image or a label file is missing.
-        ValueError: If one of them is broken.
+        ValueError: If one of them is broken, or another call is writing there.
         OSError: If a file cannot be written.
     """
     dataset = PVDN(root)
+    with FolderLock(dataset.root / "labels"):
+        return _annotated(dataset, config, preset, workers, progress)
+
+
+def _annotated(
+    dataset: PVDN, config: PipelineConfig, preset: str, workers: Workers | None, progress: Progress | None
+) -> Annotation:
     folder = dataset.root / "labels" / "bounding_boxes"
     if folder.resolve() == folder.with_name("keypoints").resolve():
         raise ValueError(f"{folder}: expected a folder of its own, got a link to the key points")

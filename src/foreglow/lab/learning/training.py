@@ -249,7 +249,8 @@ class _Trainer:
 
     def restore(self, checkpoint: Checkpoint) -> None:
         self.network.load_state_dict(checkpoint.network)
-        self._averaged = {name: value.to(self._device) for name, value in checkpoint.averaged.items()}
+        # Copies, since those of the best epoch may share their memory, also in the file.
+        self._averaged = {name: value.to(self._device, copy=True) for name, value in checkpoint.averaged.items()}
         self._optimiser.load_state_dict(checkpoint.optimiser)
 
     def run_epoch(
