@@ -248,8 +248,8 @@ def test_the_labels_of_a_sequence_and_the_file_of_a_scene_are_inputs_too(tmp_pat
     assert "does not overwrite a part of the labels of SOURCE" in complaint(*words)
     for name in ("1.png", "2.png"):
         (sequence / name).touch()
-    words = ("calibrate", "check", tmp_path / "camera.toml", sequence / "1.png", "--out", sequence / "2.png")
-    assert "does not overwrite a part of the sequence of IMAGE" in complaint(*words)
+    check = ("calibrate", "check", tmp_path / "camera.toml", sequence / "1.png", "--out", sequence / "2.png")
+    assert "does not overwrite a part of the sequence of IMAGE" in complaint(*check)
     scene = tmp_path / "scene.mcap"
     scene.touch()
     assert "does not overwrite SOURCE" in complaint("live", f"simulate:{scene}", "--record", scene)
