@@ -239,7 +239,9 @@ def test_files_of_the_configuration_of_a_run_are_inputs_too(drive: Path, tmp_pat
     assert drive.is_dir()
 
 
-def test_the_labels_of_a_sequence_and_the_file_of_a_scene_are_inputs_too(tmp_path: Path) -> None:
+def test_the_labels_of_a_sequence_and_the_file_of_a_scene_are_inputs_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sequence, labels = tmp_path / "split" / "images" / "S00001", tmp_path / "split" / "labels"
     for folder in (sequence, labels):
         folder.mkdir(parents=True)
@@ -249,6 +251,9 @@ def test_the_labels_of_a_sequence_and_the_file_of_a_scene_are_inputs_too(tmp_pat
     for name in ("1.png", "2.png"):
         (sequence / name).touch()
     check = ("calibrate", "check", tmp_path / "camera.toml", sequence / "1.png", "--out", sequence / "2.png")
+    assert "does not overwrite a part of the sequence of IMAGE" in complaint(*check)
+    monkeypatch.chdir(sequence)
+    check = ("calibrate", "check", tmp_path / "camera.toml", Path("1.png"), "--out", Path("2.png"))
     assert "does not overwrite a part of the sequence of IMAGE" in complaint(*check)
     scene = tmp_path / "scene.mcap"
     scene.touch()

@@ -45,7 +45,7 @@ def _named_in(label: str, path: Path) -> Iterator[tuple[str, Path]]:
         labels = path.parent.with_name(SPLIT_PARTS[1])
         if labels.is_dir():
             yield f"the labels of {label}", labels
-    if path.is_file() and path.parents[1].name == SPLIT_PARTS[0]:
+    if path.is_file() and path.absolute().parent.parent.name == SPLIT_PARTS[0]:
         yield f"the sequence of {label}", path.parent
     home = path if path.is_dir() else path.parent
     if path.is_dir() or path.name in RESULT_NAMES:
