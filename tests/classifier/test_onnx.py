@@ -48,6 +48,7 @@ def write_model(
     axes: tuple[int, ...] = (1, 2, 3),
     copies: int = 1,
     biases: tuple[float, ...] = (0.0,),
+    metadata: dict[str, str] | None = None,
 ) -> Path:
     """A model whose logits are gain x (mean of the crop - 1/2) + the biases; NaN for a gain of NaN."""
     constants = [
@@ -69,6 +70,7 @@ def write_model(
         constants,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, metadata or {})
     path.write_bytes(model.SerializeToString())
     return path
 
@@ -150,6 +152,15 @@ def test_one_logit_tells_no_kinds(tmp_path: Path) -> None:
     )
     assert np.isnan(found.kinds).all()
     assert np.isnan(found.direct_probabilities).all()
+
+
+@pytest.mark.parametrize("name", ["support", "context"])
+@pytest.mark.parametrize("text", ["2.7", "nan", "inf", "1e400", "0", "1e9", "two"])
+def test_metadata_that_are_no_number_of_box_sizes(tmp_path: Path, name: str, text: str) -> None:
+    shape = ("N", 2 if name == "context" else 1, SIZE_PX, SIZE_PX)
+    model = write_model(tmp_path / "model.onnx", shape, metadata={name: text})
+    with pytest.raises(ValueError, match=rf"model\.onnx: metadata: {name}: expected a .*number.*, got '{text}'"):
+        OnnxClassifier(ClassifierConfig(model=model))
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ MAX_CROP_PX = 1024
 _MAX_BATCH = 8
 _HALF = np.float32(0.5)
 _PUBLISHED_SUPPORT = 2
+_MAX_SUPPORT = 100  # far more than any box is from the border of its image
 _NUM_LOGITS = (1, 2, len(KINDS))
 
 
@@ -161,28 +162,35 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
         names.append(name)
         num_features = shape[1]
     metadata = session.get_modelmeta().custom_metadata_map
-    support = wanted_support or _number(path, metadata, "support", _PUBLISHED_SUPPORT)
-    context = int(_number(path, metadata, "context", None)) if "context" in metadata else None
+    support = wanted_support or (_whole(path, metadata, "support") if "support" in metadata else _PUBLISHED_SUPPORT)
+    context = _whole(path, metadata, "context") if "context" in metadata else None
     num_earlier = channels - 1 - (context is not None)
     if num_earlier not in (0, 1):
         raise ValueError(
             f"{path}: input {name}: expected one channel, one more for lag_s and one for context, got {shape}"
         )
-    lag_s = _number(path, metadata, "lag_s", None) if num_earlier else None
+    lag_s = _number(path, metadata, "lag_s") if num_earlier else None
     try:
-        return names, InputSpec(height, int(support), lag_s, num_features, context)
+        return names, InputSpec(height, support, lag_s, num_features, context)
     except ValueError as error:
         raise ValueError(f"{path}: metadata: {error}") from error
 
 
-def _number(path: Path, metadata: dict[str, str], name: str, default: float | None) -> float:
+def _number(path: Path, metadata: dict[str, str], name: str) -> float:
     text = metadata.get(name)
-    if text is None and default is not None:
-        return default
     try:
         return float(text or "")
     except ValueError as error:
         raise ValueError(f"{path}: metadata: {name}: expected a number, got {text!r}") from error
+
+
+def _whole(path: Path, metadata: dict[str, str], name: str) -> int:
+    number = _number(path, metadata, name)
+    if not number.is_integer() or not 1 <= number <= _MAX_SUPPORT:
+        raise ValueError(
+            f"{path}: metadata: {name}: expected a whole number from 1 to {_MAX_SUPPORT}, got {metadata[name]!r}"
+        )
+    return int(number)
 
 
 def _checked_output(path: Path, session: InferenceSession) -> str:
