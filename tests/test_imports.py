@@ -46,7 +46,7 @@ ALLOWED: dict[str, set[str]] = {
     "runs": VALUES | {"calibration", "files", "outputs", "provenance", "datasets"},
     "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "datasets", "runs", "runtime"},
-    "outputs": {"files"},
+    "outputs": {"files", "datasets"},
     "inputs": {"files", "outputs"},
     "options": {"config", "beam", "datasets", "files", "inputs", "outputs", "parallel"},
     "lab": set(),

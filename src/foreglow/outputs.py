@@ -335,7 +335,9 @@ def _is_foreign(folder: Path) -> bool:
 
 def _is_split(folder: Path) -> bool:
     """Whether a folder is a split in PVDN's format, which has names of results, too."""
-    return any((folder / "labels" / name).is_file() for name in ("sequences.json", "image_annotations.json"))
+    from foreglow.datasets.pvdn import is_split  # only here: the help comes without NumPy
+
+    return is_split(folder)
 
 
 def check_replaceable(path: Path) -> None:

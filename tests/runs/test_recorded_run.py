@@ -120,9 +120,9 @@ def test_another_file_where_a_run_had_its_frames(tmp_path: Path) -> None:
 
 
 def test_doubt_about_a_source_that_nothing_tells_apart(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", [], source="/at/work/night.avi")
+    run = write_run(tmp_path / "run", [], source="/elsewhere/night.avi")
     assert doubt_about_source(run, tmp_path / "night.avi") is None
-    words = f"{tmp_path / 'day.avi'}: taken for what {run} was made from, which was /at/work/night.avi"
+    words = f"{tmp_path / 'day.avi'}: taken for what {run} was made from, which was /elsewhere/night.avi"
     assert doubt_about_source(run, tmp_path / "day.avi") == words
 
 
