@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import io
 import math
 import re
@@ -54,6 +55,7 @@ MAX_LOG_FRAMES = 2_000_000
 MAX_OBJECT_BYTES = 1 << 24
 """Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
 
+_BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
 _MIN_BLF_BYTES = 144  # of the file's header
@@ -388,6 +390,8 @@ class _TextLog(io.TextIOWrapper):
             self.is_too_long = True
             raise
         self.number += 1
+        if self.number == 1:
+            self.line = self.line.removeprefix(_BYTE_ORDER_MARK)
         return self.line
 
 
