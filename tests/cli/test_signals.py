@@ -267,9 +267,9 @@ def test_a_ros_2_node_that_is_interrupted_says_so() -> None:
 
 HALF_WRITTEN = """
 import contextlib
-from foreglow import files
+from foreglow import whole_files
 
-whole = files.open_atomic
+whole = whole_files.open_atomic
 
 
 @contextlib.contextmanager
@@ -282,7 +282,7 @@ def waiting(path):
         yield file
 
 
-files.open_atomic = waiting
+whole_files.open_atomic = waiting
 """
 
 

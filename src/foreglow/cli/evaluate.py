@@ -63,8 +63,9 @@ def evaluate(
 
     import rich
 
-    from foreglow.files import to_json, together, write_json_results
+    from foreglow.files import to_json, write_json_results
     from foreglow.lab.reports.evaluation_page import examination_lines, write_report
+    from foreglow.whole_files import together
 
     workers = work.workers()
     configuration = _configuration(pipeline, predictions, threshold)

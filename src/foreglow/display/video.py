@@ -19,8 +19,8 @@ from av.video.stream import VideoStream
 
 from foreglow.display.overlay import Picture, annotate
 from foreglow.display.tone import Tone
-from foreglow.files import naming
 from foreglow.types import Frame, FrameResult
+from foreglow.whole_files import naming
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer

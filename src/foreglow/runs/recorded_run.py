@@ -16,7 +16,6 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
-from foreglow.files import atomic_path, write_atomic
 from foreglow.outputs import RESULT_NAMES, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
@@ -24,6 +23,7 @@ from foreglow.runs.origin import digests_of, origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import Frame, FrameResult, TrackState
+from foreglow.whole_files import atomic_path, write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
