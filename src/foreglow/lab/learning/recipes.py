@@ -120,6 +120,8 @@ class Recipe(FrozenModel):
     def _check(self) -> Recipe:
         if self.schedule == "plateau" and self.warmup_epochs:
             raise ValueError("warmup_epochs: expected 0 with the schedule plateau")
+        if self.inputs.together and self.max_negatives_per_positive is not None:
+            raise ValueError("max_negatives_per_positive: expected none where inputs.together, since all boxes are read")
         if self.warmup_epochs > self.epochs:
             raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
         return self
@@ -144,8 +146,8 @@ RECIPES: dict[str, Recipe] = {
         calibration="none",
     ),
     "foreglow": Recipe(
-        network="compact",
-        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6),
+        network="related",
+        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6, together=True),
         jitter=Jitter(num_copies=1),
         epochs=30,
         batch_size=256,
@@ -156,7 +158,6 @@ RECIPES: dict[str, Recipe] = {
         warmup_epochs=1.0,
         max_gradient=5.0,
         ema_decay=0.998,
-        max_negatives_per_positive=4.0,
         positive_weight="equal",
         group_balance=0.25,
         kinds=True,

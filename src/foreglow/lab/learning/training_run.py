@@ -128,7 +128,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
     about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **made_with}
     write_model(network, recipe.inputs, folder / MODEL, about)
-    chosen = val[np.linspace(0, len(val) - 1, min(_NUM_COMPARED, len(val))).astype(int)]
+    chosen = val.whole_sets(_NUM_COMPARED)
     difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
     weights = io.BytesIO()
     torch.save(network.state_dict(), weights)
