@@ -129,9 +129,7 @@ def _signs(num_signs: int, augmentation: Augmentation, random: torch.Generator) 
     return torch.where(_uniform(num_signs, 0, 1, random) < augmentation.flip, -1.0, 1.0)
 
 
-def _moved(
-    crops: Tensor, augmentation: Augmentation, random: torch.Generator, signs: Tensor | None = None
-) -> Tensor:
+def _moved(crops: Tensor, augmentation: Augmentation, random: torch.Generator, signs: Tensor | None = None) -> Tensor:
     is_turned = augmentation.rotation_deg or augmentation.min_area < 1 or augmentation.max_ratio > 1
     if not is_turned:  # no interpolation where it is not needed
         if not augmentation.flip:

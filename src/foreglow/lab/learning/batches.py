@@ -54,7 +54,7 @@ def set_batches(samples: Samples, recipe: Recipe, epoch: int) -> Iterator[NDArra
 
 def set_sizes(sets: NDArray[np.int32]) -> list[int]:
     """How many samples each set has, in order."""
-    return np.diff(np.append(set_starts(sets), len(sets))).tolist()
+    return [int(size) for size in np.diff(np.append(set_starts(sets), len(sets)))]
 
 
 def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.files import write_atomic
 from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
-from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork
+from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork, Round
 from foreglow.lab.learning.samples import Samples, set_starts
 from foreglow.lab.learning.scores import Calibrator
 from foreglow.types import KINDS
@@ -85,7 +85,7 @@ def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]
         ValueError: If the model cannot be run on these samples, or the difference is above `MAX_DIFFERENCE`.
     """
     session = open_session(path, num_threads=1)
-    given = {"crops": samples.crops.astype(np.float32) / 255, "features": samples.features}
+    given: dict[str, NDArray[Any]] = {"crops": samples.crops.astype(np.float32) / 255, "features": samples.features}
     wanted = [node.name for node in session.get_inputs()]
     if not set(wanted) <= given.keys():
         raise ValueError(f"{path}: inputs: expected crops, and features where they are read, got {', '.join(wanted)}")
@@ -157,6 +157,7 @@ def _related(graph: Graph, network: RelatedNetwork, hidden: str) -> str:
     falling = graph.node("Exp", graph.node("Mul", distances, graph.constant(np.array([-8.0]))))
     relations = graph.node("Concat", differences, graph.node("Abs", across), logarithms, falling, axis=2)
     for each in network.rounds:
+        assert isinstance(each, Round)
         heard = graph.linear(hidden, _array(each.hearer.weight), _array(each.hearer.bias))
         told = graph.node("MatMul", hidden, graph.constant(_array(each.teller.weight).T))
         told = graph.node(

@@ -119,7 +119,8 @@ def _parameters(network: CompactNetwork) -> list[tuple[str, tuple[torch.Tensor, 
         for each in network.rounds:
             linear += [each.hearer, each.teller, each.relation, each.update]
     for layer in (*linear, network.last):
-        found.append(("MatMul", (layer.weight.T,)) if layer.bias is None else ("Gemm", (layer.weight, layer.bias)))
+        has_bias = layer.bias is not None
+        found += [("Gemm", (layer.weight, layer.bias)) if has_bias else ("MatMul", (layer.weight.T,))]
     return found
 
 

@@ -105,7 +105,7 @@ class RelatedNetwork(CompactNetwork):
         super().__init__(num_channels, num_features, num_outputs)
         size = self.hidden.out_features
         self.place = nn.Linear(num_features, size)
-        self.rounds = nn.ModuleList(_Round(size, self.NUM_TOLD, len(self.COMPARED) + 3) for _ in range(self.NUM_ROUNDS))
+        self.rounds = nn.ModuleList(Round(size, self.NUM_TOLD, len(self.COMPARED) + 3) for _ in range(self.NUM_ROUNDS))
         self.hearing = nn.Dropout(0.15)
 
     def forward(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> Tensor:
@@ -137,7 +137,7 @@ class RelatedNetwork(CompactNetwork):
         return torch.cat([differences, across.abs(), torch.log2(distances) / 8, torch.exp(-8 * distances)], dim=-1)
 
 
-class _Round(nn.Module):
+class Round(nn.Module):
     """Each box is told something by each, itself included."""
 
     def __init__(self, size: int, num_told: int, num_relations: int) -> None:
@@ -149,9 +149,7 @@ class _Round(nn.Module):
 
     def forward(self, hidden: Tensor, relations: Tensor, is_heard: Tensor) -> Tensor:
         """The new values of shape (B, N, size), of these, relations (B, N, N, 9), and 1 or 0 of shape (B, N, 1)."""
-        told = torch.relu(
-            self.hearer(hidden)[:, :, None] + self.teller(hidden)[:, None] + self.relation(relations)
-        )
+        told = torch.relu(self.hearer(hidden)[:, :, None] + self.teller(hidden)[:, None] + self.relation(relations))
         told = told * is_heard[:, None]
         mean = told.sum(dim=2) / is_heard.sum(dim=1, keepdim=True).clamp_min(1)
         return hidden + torch.relu(self.update(torch.cat([hidden, mean, told.amax(dim=2)], dim=-1)))
@@ -171,7 +169,9 @@ def _padded(values: Tensor, is_there: Tensor) -> Tensor:
 
 def logits_of(network: nn.Module, crops: Tensor, features: Tensor, sizes: Sequence[int]) -> Tensor:
     """The logits of crops; networks that compare the boxes of a frame are told how many each frame has."""
-    logits: Tensor = network(crops, features, sizes) if isinstance(network, RelatedNetwork) else network(crops, features)
+    logits: Tensor = (
+        network(crops, features, sizes) if isinstance(network, RelatedNetwork) else network(crops, features)
+    )
     return logits
 
 

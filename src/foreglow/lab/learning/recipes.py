@@ -121,7 +121,9 @@ class Recipe(FrozenModel):
         if self.schedule == "plateau" and self.warmup_epochs:
             raise ValueError("warmup_epochs: expected 0 with the schedule plateau")
         if self.inputs.together and self.max_negatives_per_positive is not None:
-            raise ValueError("max_negatives_per_positive: expected none where inputs.together, since all boxes are read")
+            raise ValueError(
+                "max_negatives_per_positive: expected none where inputs.together, since all boxes are read"
+            )
         if self.warmup_epochs > self.epochs:
             raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
         return self

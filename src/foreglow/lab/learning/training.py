@@ -335,7 +335,9 @@ class _Trainer:
             is_learnt &= ~is_told
         learnt = batch[is_learnt.cpu().numpy()]
         weights = torch.from_numpy(self._weights[learnt]).to(self._device)
-        parts.append(weights * (self._kinds_losses if recipe.kinds else self._losses)(logits[is_learnt].float(), learnt))
+        parts.append(
+            weights * (self._kinds_losses if recipe.kinds else self._losses)(logits[is_learnt].float(), learnt)
+        )
         loss = torch.cat(parts).mean()
         loss.backward()  # type: ignore[no-untyped-call]
         if recipe.max_gradient is not None:
