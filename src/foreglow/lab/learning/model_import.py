@@ -17,7 +17,7 @@ from torch import nn
 from foreglow.classifier import OnnxClassifier
 from foreglow.classifier.inputs import InputSpec
 from foreglow.config import ClassifierConfig
-from foreglow.lab.learning.networks import CompactNetwork, RelatedNetwork
+from foreglow.lab.learning.networks import CompactNetwork, Hearing, RelatedNetwork
 from foreglow.models import model_path
 from foreglow.types import KINDS
 
@@ -36,7 +36,7 @@ class FoldedNetwork(CompactNetwork):
         """As in `torch.nn.Module`, but in both modes the network computes the same."""
         super().train(mode)
         for layer in self.modules():
-            if isinstance(layer, nn.BatchNorm2d | nn.Dropout):
+            if isinstance(layer, nn.BatchNorm2d | nn.Dropout | Hearing):
                 layer.eval()
         return self
 

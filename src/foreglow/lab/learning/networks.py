@@ -106,7 +106,7 @@ class RelatedNetwork(CompactNetwork):
         size = self.hidden.out_features
         self.place = nn.Linear(num_features, size)
         self.rounds = nn.ModuleList(Round(size, self.NUM_TOLD, len(self.COMPARED) + 3) for _ in range(self.NUM_ROUNDS))
-        self.hearing = nn.Dropout(0.15)
+        self.hearing = Hearing()
 
     def forward(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> Tensor:
         """The logits of each crop.
@@ -121,8 +121,7 @@ class RelatedNetwork(CompactNetwork):
         is_there = _is_there([len(crops)] if sizes is None else sizes, crops.device)
         compared = _padded(features[:, list(self.COMPARED)] * features.new_tensor(self.SCALES), is_there)
         relations = self._relations(compared)
-        # In training, some boxes are heard by none.
-        is_heard = _padded((self.hearing(features.new_ones(len(features), 1)) > 0).to(features.dtype), is_there)
+        is_heard = self.hearing(is_there).to(features.dtype)[..., None]
         hidden = _padded(hidden, is_there)
         for each in self.rounds:
             hidden = each(hidden, relations, is_heard)
@@ -135,6 +134,22 @@ class RelatedNetwork(CompactNetwork):
         across, along = differences[..., :1], differences[..., 1:2]
         distances = (across**2 + along**2 + self.LEAST_SQUARE).sqrt()
         return torch.cat([differences, across.abs(), torch.log2(distances) / 8, torch.exp(-8 * distances)], dim=-1)
+
+
+class Hearing(nn.Module):
+    """Which boxes are heard by the others: all; in training, some are not, in each frame another share of them.
+
+    So what is learnt does not depend on how many boxes a camera's images have, or on all of them being there.
+    """
+
+    LARGEST_SHARE = 0.9
+
+    def forward(self, is_there: Tensor) -> Tensor:
+        """Shape (B, N), bool, of where there is a box."""
+        if not self.training:
+            return is_there
+        shares = self.LARGEST_SHARE * torch.rand(len(is_there), 1, device=is_there.device)
+        return is_there & (torch.rand(is_there.shape, device=is_there.device) >= shares)
 
 
 class Round(nn.Module):

@@ -31,6 +31,7 @@ class Augmentation(FrozenModel):
         history_dropout: Probability that the second channel, the earlier image, is black, as at a sequence's start.
         feature_noise: Standard deviation of the noise on the features, in units of their standard deviations over the
             training samples.
+        zoom: Where the boxes of a frame are read together, the frame is enlarged by up to exp(zoom), or made smaller.
     """
 
     flip: Share = 0.0
@@ -42,6 +43,7 @@ class Augmentation(FrozenModel):
     normalise: bool = False
     history_dropout: Share = 0.0
     feature_noise: Annotated[float, Field(ge=0, le=10)] = 0.0
+    zoom: Share = 0.0
 
 
 class Recipe(FrozenModel):
@@ -150,8 +152,7 @@ RECIPES: dict[str, Recipe] = {
     "foreglow": Recipe(
         network="related",
         inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6, together=True),
-        jitter=Jitter(num_copies=1),
-        epochs=30,
+        epochs=20,
         batch_size=256,
         optimiser="adamw",
         learning_rate=2e-3,
@@ -175,6 +176,7 @@ RECIPES: dict[str, Recipe] = {
             normalise=True,
             history_dropout=0.3,
             feature_noise=0.4,
+            zoom=0.5,
         ),
         best_by="f1",
         calibration="platt",

@@ -16,6 +16,7 @@ from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
+from foreglow.datasets.pvdn import is_split
 from foreglow.files import together, write_atomic, write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
@@ -49,10 +50,12 @@ def train_model(
 ) -> dict[str, Any]:
     """Trains the recipe's network on the proposals of `config` in every DATA/train, and selects it on every DATA/val.
 
+    DATA may be single splits to train on, beside at least one data set with a split val.
+
     An interrupted run continues when it is called again with the same arguments. Returns what `summary.json` holds.
 
     Args:
-        data: One or more data sets with the splits train and val.
+        data: One or more data sets with the splits train and val, or single splits to train on.
         recipe: How to train.
         config: Its proposals are the boxes that the network is trained on.
         folder: Folder for all results; made if it does not exist.
@@ -72,7 +75,13 @@ def train_model(
 
     started = time.perf_counter()
     names: tuple[SplitName, ...] = ("train", "val")
-    splits = {name: [open_labelled(split_folder(folder, name)) for folder in data] for name in names}
+    whole = [path for path in data if not is_split(path)]
+    if not whole:
+        raise ValueError(f"{data[0]}: expected at least one data set with a split val, got single splits alone")
+    splits = {
+        "train": [open_labelled(path if is_split(path) else split_folder(path, "train")) for path in data],
+        "val": [open_labelled(split_folder(path, "val")) for path in whole],
+    }
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
