@@ -15,7 +15,7 @@ from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier  # noqa: E40
 from foreglow.classifier.inputs import InputMaker  # noqa: E402
 from foreglow.classifier.onnx import MAX_TOGETHER  # noqa: E402
 from foreglow.config import ClassifierConfig  # noqa: E402
-from foreglow.lab.learning.augmentation import SIDE, augment  # noqa: E402
+from foreglow.lab.learning.augmentation import COLUMN, PLACES, SIDE, SIZES, augment  # noqa: E402
 from foreglow.lab.learning.batches import set_batches, set_sizes  # noqa: E402
 from foreglow.lab.learning.model_export import largest_difference, write_model  # noqa: E402
 from foreglow.lab.learning.networks import Hearing, RelatedNetwork  # noqa: E402
@@ -157,8 +157,17 @@ def test_boxes_of_a_frame_are_reflected_and_moved_together() -> None:
     np.testing.assert_allclose(changed_features[:, SIDE], samples.features[:, SIDE] * signs)
     _, moved = augment(crops, features, Augmentation(feature_noise=0.5), torch.ones(len(FEATURES)), random, sizes=sizes)
     shifts = (moved - features).numpy().reshape(-1, 6, len(FEATURES))
+    np.testing.assert_allclose(moved[:, COLUMN], moved[:, SIDE].abs())
+    shifts = np.delete(shifts, COLUMN, axis=2)
     np.testing.assert_allclose(shifts, np.repeat(shifts[:, :1], 6, axis=1), atol=1e-5)
     assert shifts[:, 0].std(axis=0).min() > 0.2
+    _, zoomed = augment(crops, features, Augmentation(zoom=0.5), torch.ones(len(FEATURES)), random, sizes=sizes)
+    factors = (zoomed[:, PLACES] / features[:, PLACES]).numpy().reshape(-1, 6 * len(PLACES))
+    np.testing.assert_allclose(factors, np.repeat(factors[:, :1], factors.shape[1], axis=1), rtol=1e-4)
+    assert factors.min() < 0.8
+    assert factors.max() > 1.2
+    grown = (zoomed[:, SIZES] - features[:, SIZES]).numpy().reshape(-1, 6 * len(SIZES))
+    np.testing.assert_allclose(grown[:, 0], np.log2(factors[:, 0]) / 10, atol=1e-4)
 
 
 def test_a_recipe_that_leaves_boxes_out_is_refused() -> None:

@@ -25,6 +25,7 @@ from foreglow.classifier.inputs import InputSpec
 from foreglow.config import preset
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.images import NPY_ERRORS
+from foreglow.datasets.pvdn import is_split
 from foreglow.files import write_atomic
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import RECIPES
@@ -206,7 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from foreglow.display.progress import StepProgress
 
     parser = argparse.ArgumentParser(prog="python -m foreglow.lab.learning.old_samples", description=__doc__)
-    parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets whose split train is mixed in")
+    parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets (train is mixed in) or splits")
     parser.add_argument(
         "--judge", nargs="+", type=Path, metavar="DATA", required=True, help="... whose split val judges, by camera"
     )
@@ -221,7 +222,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with StepProgress() as progress:
         parts = []
         for data in given.data:
-            split = open_labelled(split_folder(data, "train"))
+            split = open_labelled(data if is_split(data) else split_folder(data, "train"))
             parts.append(cached_samples(split, config, given.cache, progress.of(f"{data}: images")))
         splits: dict[str, list[LabelledSource]] = {}
         for data in given.judge:
