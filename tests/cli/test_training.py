@@ -70,7 +70,7 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     summary = json.loads((out / "summary.json").read_text())
     assert summary["samples"]["train"] == {"positive": 24, "negative": 48, "ignored": 0}  # with copies
     assert summary["samples"]["val"] == {"positive": 12, "negative": 24, "ignored": 0}
-    assert (summary["seed"], summary["network"], summary["num_epochs"]) == (5, "compact", 12)
+    assert (summary["seed"], summary["network"], summary["num_epochs"]) == (5, "related", 12)
     assert summary["largest_difference_of_export"] < 1e-3
     assert summary["model_bytes"] == (out / "model.onnx").stat().st_size
     assert {"version", "commit", "has_local_changes", "seconds", "device", "data"} <= summary.keys()
@@ -108,6 +108,17 @@ def test_several_data_sets_are_joined(data: Path, tmp_path: Path, options: list[
     assert len(list((tmp_path / "run" / "samples").iterdir())) == 4
 
 
+def test_single_splits_are_trained_on(data: Path, tmp_path: Path, options: list[object]) -> None:
+    more = make_drives(tmp_path / "more", num_images=2) / "day" / "train"
+    done = foreglow_command("train", data, more, *options[2:], "--out", tmp_path / "run", "--epochs", 1)
+    assert done.exit_code == 0, done.output
+    samples = json.loads((tmp_path / "run" / "summary.json").read_text())["samples"]
+    assert samples["train"] == {"positive": 24 + 8, "negative": 48 + 16, "ignored": 0}
+    assert samples["val"] == {"positive": 12, "negative": 24, "ignored": 0}
+    line = complaint("train", more, *options[2:], "--out", tmp_path / "other")
+    assert f"{more}: expected at least one data set with a split val, got single splits alone" in line
+
+
 def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options: list[object]) -> None:
     out = tmp_path / "run"
     first = foreglow_command(*options, "--out", out, "--epochs", 2)
@@ -135,7 +146,7 @@ def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: 
 def test_inputs_that_the_network_cannot_read(tmp_path: Path, options: list[object]) -> None:
     (tmp_path / "quick.toml").write_text("[inputs]\nsize_px = 48\n")
     line = complaint(*options, "--out", tmp_path / "run", "--epochs", 1)
-    assert "recipe: inputs: the network compact cannot read InputSpec(size_px=48" in line
+    assert "recipe: inputs: the network related cannot read InputSpec(size_px=48" in line
 
 
 def test_a_data_set_without_validation(tmp_path: Path, options: list[object]) -> None:

@@ -26,12 +26,13 @@ FEATURES = (
     "has_earlier",
     "row",
     "column",
+    "side",
 )
 """Names of the features in order: of the crop, of the box, of the frame, and where in the frame the box is; `_features`
 has the units."""
 
-NUMS_FEATURES = (0, 7, len(FEATURES))
-"""Models read none, those without the place in the frame, or all of them."""
+NUMS_FEATURES = (0, 7, 9, len(FEATURES))
+"""Models read none, those without the place in the frame, those that are alike on both sides of the road, or all."""
 
 _LOGARITHM = 255.0
 """Levels become log(1 + 255 level) / log 256: from 0 to 1, with as much room for dark greys as for bright ones."""
@@ -57,6 +58,7 @@ class InputSpec:
         num_features: Length of the feature vector: the first so many of `FEATURES`, one of `NUMS_FEATURES`.
         context: The last channel shows the box's surroundings: this many widths and heights to either side; None for
             no such channel.
+        together: Whether the model compares the boxes of a frame with one another, and so reads all of them at once.
 
     Raises:
         ValueError: If a field is out of range.
@@ -67,6 +69,7 @@ class InputSpec:
     lag_s: float | None = None
     num_features: int = 0
     context: int | None = None
+    together: bool = False
 
     def __post_init__(self) -> None:
         if self.size_px < 1 or self.support < 1:
@@ -77,6 +80,8 @@ class InputSpec:
             raise ValueError(f"InputSpec.context: expected at least 1, got {self.context}")
         if self.num_features not in NUMS_FEATURES:
             raise ValueError(f"InputSpec.num_features: expected one of {NUMS_FEATURES}, got {self.num_features}")
+        if self.together and self.num_features != len(FEATURES):
+            raise ValueError(f"InputSpec.num_features: expected {len(FEATURES)} with together, got {self.num_features}")
 
     @property
     def num_channels(self) -> int:
@@ -166,10 +171,10 @@ def _is_alike(frame: Frame, image: Image) -> bool:
 def _features(
     image: Image, boxes_xyxy_px: NDArray[np.int32], levels: NDArray[np.float32], has_earlier: bool
 ) -> NDArray[np.float32]:
-    """Shape (N, 9), in the order of `FEATURES`: levels and sizes as logarithms, sizes relative to the frame's width.
+    """Shape (N, 10), in the order of `FEATURES`: levels and sizes as logarithms, sizes relative to the frame's width.
 
     The place is that of the box's centre from the frame's, in quarters of the width: rows downwards, columns to either
-    side, since roads are alike where traffic keeps to the left.
+    side, since roads are alike where traffic keeps to the left, and the side itself, positive to the right.
     """
     full_scale, (height_px, width_px) = np.iinfo(image.dtype).max, image.shape
     sample = image[::_SAMPLING_PX, ::_SAMPLING_PX]
@@ -180,7 +185,8 @@ def _features(
     features[:, 5] = _logarithmic(np.float32(sample.max() / full_scale))
     features[:, 6] = has_earlier
     features[:, 7] = (boxes_xyxy_px[:, 1] + boxes_xyxy_px[:, 3] - height_px) * (2.0 / width_px)
-    features[:, 8] = np.abs(boxes_xyxy_px[:, 0] + boxes_xyxy_px[:, 2] - width_px) * (2.0 / width_px)
+    features[:, 9] = (boxes_xyxy_px[:, 0] + boxes_xyxy_px[:, 2] - width_px) * (2.0 / width_px)
+    features[:, 8] = np.abs(features[:, 9])
     return features
 
 

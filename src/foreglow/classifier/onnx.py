@@ -24,6 +24,11 @@ MAX_CROP_PX = 1024
 
 # Crops of one run: bounds the memory, and the activations of the first layers stay in the second-level cache.
 _MAX_BATCH = 8
+
+MAX_TOGETHER = 128
+"""Boxes that a model compares with one another; the boxes of a frame that has more are compared in parts, from above
+downwards, since time and memory grow with the square of their number."""
+
 _HALF = np.float32(0.5)
 _PUBLISHED_SUPPORT = 2
 _MAX_SUPPORT = 100  # far more than any box is from the border of its image
@@ -37,7 +42,7 @@ class OnnxClassifier:
     `classifier.inputs` makes them. It writes the logits of the five `KINDS`, shape (N, 5); or logits of being light of
     a vehicle, shape (N,) or (N, 1), or these together with logits of being a lamp itself, shape (N, 2). Its metadata
     may give a `support`, and must give the `lag_s` for a channel of an earlier frame, and the `context` for
-    one of the surroundings.
+    one of the surroundings. With `together` in its metadata, it is given all boxes of a frame at once.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -87,8 +92,9 @@ class OnnxClassifier:
     def _logits(self, inputs: ClassifierInputs) -> NDArray[np.float32]:
         """Shape (N, 1), (N, 2) or (N, 5), batch by batch."""
         arrays = (inputs.crops, inputs.features)[: len(self._names)]
-        starts = range(0, len(inputs.crops), _MAX_BATCH)
-        batches = [self._run([array[start : start + _MAX_BATCH] for array in arrays]) for start in starts]
+        size = MAX_TOGETHER if self.spec.together else _MAX_BATCH
+        starts = range(0, len(inputs.crops), size)
+        batches = [self._run([array[start : start + size] for array in arrays]) for start in starts]
         return batches[0] if len(batches) == 1 else np.concatenate(batches)
 
     def _run(self, batch: list[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -171,7 +177,7 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
         )
     lag_s = _number(path, metadata, "lag_s") if num_earlier else None
     try:
-        return names, InputSpec(height, support, lag_s, num_features, context)
+        return names, InputSpec(height, support, lag_s, num_features, context, "together" in metadata)
     except ValueError as error:
         raise ValueError(f"{path}: metadata: {error}") from error
 

@@ -152,7 +152,9 @@ def _tuning_lines(tuning: Tuning) -> list[str]:
 @app.command()
 @with_options
 def train(
-    data: Annotated[list[Path], argument("DATA...", "Data sets in PVDN's format, with train and val.")],
+    data: Annotated[
+        list[Path], argument("DATA...", "Data sets in PVDN's format, with train and val; or single splits to train on.")
+    ],
     out: Annotated[Path, folder("Folder for the model; a training that was interrupted in it is continued.")],
     from_: Annotated[
         Path | None,

@@ -74,5 +74,6 @@ def make_samples(num_samples: int, seed: int, **changed: Any) -> Samples:
         "boxes_xyxy_px": np.tile(np.array([0, 0, 4, 4], np.int32), (num_samples, 1)),
         "image_ids": np.arange(num_samples, dtype=np.int64),
         "sequence_ids": np.zeros(num_samples, np.int32),
+        "sets": np.arange(num_samples, dtype=np.int32),
     }
     return Samples(**arrays | changed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -11,7 +12,10 @@ from torch.nn import functional
 from foreglow.classifier.inputs import FEATURES
 from foreglow.lab.learning.recipes import Augmentation
 
-HAS_EARLIER = FEATURES.index("has_earlier")
+HAS_EARLIER, SIDE = FEATURES.index("has_earlier"), FEATURES.index("side")
+COLUMN = FEATURES.index("column")
+PLACES = [FEATURES.index(name) for name in ("row", "column", "side")]
+SIZES = [FEATURES.index(name) for name in ("width", "height")]
 
 # A crop with a smaller range counts as constant: a hundredth of a grey level, which no camera resolves.
 _MIN_RANGE = 1e-4
@@ -25,6 +29,7 @@ def augment(
     random: torch.Generator,
     *,
     has_context: bool = False,
+    sizes: Sequence[int] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Altered copies of `crops` and `features`, drawn from `random` for each sample.
 
@@ -38,10 +43,14 @@ def augment(
         feature_scale: Shape (F,): the unit of `feature_noise` for each feature.
         random: A generator on the CPU, so that the same seed draws the same on every device.
         has_context: Whether the last channel shows the surroundings, and not an earlier image.
+        sizes: Numbers of samples of each frame, which sum to N, for networks that compare them: those of a frame are
+            reflected together, and their features are moved together, so that their differences stay true.
     """
+    frames = None if sizes is None else torch.repeat_interleave(torch.arange(len(sizes)), torch.tensor(list(sizes)))
+    signs = None if sizes is None or frames is None else _signs(len(sizes), augmentation, random)[frames]
     num_near = crops.shape[1] - has_context
     has_earlier = crops[:, 1:num_near].amax(dim=(2, 3), keepdim=True) > 0
-    crops = _moved(crops, augmentation, random)
+    crops = _moved(crops, augmentation, random, signs)
     if augmentation.gamma:
         gamma = _uniform(len(crops), 1 - augmentation.gamma, 1 + augmentation.gamma, random)
         crops = crops.clamp_min(0) ** (1 / gamma).to(crops.device)[:, None, None, None]
@@ -62,9 +71,19 @@ def augment(
                 features[:, HAS_EARLIER] *= is_kept
         near = torch.cat([near[:, :1], earlier], dim=1)
     crops = torch.cat([near, context], dim=1)
+    if frames is not None and sizes is not None and signs is not None:
+        zooms = _uniform(len(sizes), -augmentation.zoom, augmentation.zoom, random)[frames].to(features.device)
+        features = features.clone()
+        features[:, SIDE] *= signs.to(features.device)
+        features[:, PLACES] *= torch.exp(zooms)[:, None]
+        features[:, SIZES] += zooms[:, None] / (10 * math.log(2))
     if augmentation.feature_noise and features.shape[1]:
-        noise = torch.empty(features.shape).normal_(generator=random).to(features.device)
+        num_draws = len(features) if sizes is None else len(sizes)
+        noise = torch.empty(num_draws, features.shape[1]).normal_(generator=random)
+        noise = (noise if frames is None else noise[frames]).to(features.device)
         features = features + augmentation.feature_noise * feature_scale * noise
+        if frames is not None:
+            features[:, COLUMN] = features[:, SIDE].abs()
     return crops, features
 
 
@@ -91,12 +110,14 @@ def stretched(crops: Tensor) -> Tensor:
     return torch.where(width > _MIN_RANGE, (crops - low) / width.clamp_min(_MIN_RANGE), 0).clamp(0, 1)
 
 
-def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:
+def affine_maps(
+    num_maps: int, augmentation: Augmentation, random: torch.Generator, signs: Tensor | None = None
+) -> Tensor:
     """Affine maps from the altered crop to the original one, shape (N, 2, 3), in the [-1, 1] of `affine_grid`.
 
     A map takes the result to a window of size (w, h) inside the crop, turns it about the crop's centre, and reflects
     it. Area and ratio of the window are drawn as in torchvision's RandomResizedCrop; a side that would be longer than
-    the crop is shortened, where torchvision draws again.
+    the crop is shortened, where torchvision draws again. With `signs`, shape (N,), those of -1 are reflected.
     """
     angle = torch.deg2rad(_uniform(num_maps, -augmentation.rotation_deg, augmentation.rotation_deg, random))
     area = _uniform(num_maps, augmentation.min_area, 1, random)
@@ -105,20 +126,26 @@ def affine_maps(num_maps: int, augmentation: Augmentation, random: torch.Generat
     width, height = (area * ratio).sqrt().clamp_max(1), (area / ratio).sqrt().clamp_max(1)
     x = (1 - width) * _uniform(num_maps, -1, 1, random)
     y = (1 - height) * _uniform(num_maps, -1, 1, random)
-    sign = torch.where(_uniform(num_maps, 0, 1, random) < augmentation.flip, -1.0, 1.0)
+    sign = _signs(num_maps, augmentation, random) if signs is None else signs
     cos, sin = angle.cos(), angle.sin()
     rows = (sign * cos * width, -sign * sin * height, sign * (cos * x - sin * y), sin * width, cos * height)
     return torch.stack([*rows, sin * x + cos * y], dim=1).view(num_maps, 2, 3)
 
 
-def _moved(crops: Tensor, augmentation: Augmentation, random: torch.Generator) -> Tensor:
+def _signs(num_signs: int, augmentation: Augmentation, random: torch.Generator) -> Tensor:
+    """-1 for what is reflected, 1 for the rest."""
+    return torch.where(_uniform(num_signs, 0, 1, random) < augmentation.flip, -1.0, 1.0)
+
+
+def _moved(crops: Tensor, augmentation: Augmentation, random: torch.Generator, signs: Tensor | None = None) -> Tensor:
     is_turned = augmentation.rotation_deg or augmentation.min_area < 1 or augmentation.max_ratio > 1
     if not is_turned:  # no interpolation where it is not needed
         if not augmentation.flip:
             return crops
-        is_flipped = (_uniform(len(crops), 0, 1, random) < augmentation.flip).to(crops.device)
+        signs = _signs(len(crops), augmentation, random) if signs is None else signs
+        is_flipped = (signs < 0).to(crops.device)
         return torch.where(is_flipped[:, None, None, None], crops.flip(3), crops)
-    maps = affine_maps(len(crops), augmentation, random).to(crops.device)
+    maps = affine_maps(len(crops), augmentation, random, signs).to(crops.device)
     grid = functional.affine_grid(maps, list(crops.shape), align_corners=False)
     return functional.grid_sample(crops, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
 

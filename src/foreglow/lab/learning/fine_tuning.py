@@ -140,8 +140,9 @@ def box_figures(
 
 def fine_tuning_recipe(start: StartingPoint) -> Recipe:
     """The recipe for going on from a model."""
+    network = "related" if start.inputs.together else "compact"
     inputs = dataclasses.asdict(start.inputs)
-    return changed(RECIPES["foreglow"], FINE_TUNING | {"inputs": inputs, "kinds": start.has_kinds})
+    return changed(RECIPES["foreglow"], FINE_TUNING | {"network": network, "inputs": inputs, "kinds": start.has_kinds})
 
 
 def fine_tune(
@@ -196,9 +197,9 @@ def fine_tune(
             for name in names
         }
         old = chosen(drives["train"], NUM_SAMPLES)
-        known = [part[part.labels != IGNORED] for part in drives["val"]]
         judge = tuple(
-            HeldOut(str(path), part, np.ones(len(part), np.float32)) for path, part in zip(mix, known, strict=True)
+            HeldOut(str(path), part, np.ones(len(part), np.float32))
+            for path, part in zip(mix, drives["val"], strict=True)
         )
     repeats, old_repeats = (
         max(1, min(MAX_REPEATS, round(ratio))) for ratio in (len(old) / max(1, len(own)), len(own) / max(1, len(old)))
@@ -292,10 +293,11 @@ def _average_precisions(network: nn.Module, held_out: HeldOut, device: torch.dev
     from foreglow.lab.learning.training import score_samples
 
     scores = light_scores(score_samples(network, held_out.samples, device))
+    is_known = held_out.samples.labels != IGNORED
     return {
-        name: box_figures(scores, is_light, 0.5, held_out.weights).average_precision
+        name: box_figures(scores[is_known], is_light[is_known], 0.5, held_out.weights[is_known]).average_precision
         for name, is_light in _labels(held_out.samples).items()
-        if is_light.any()
+        if is_light[is_known].any()
     }
 
 

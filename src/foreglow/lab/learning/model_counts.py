@@ -20,7 +20,8 @@ class ModelCounts:
 
     Attributes:
         num_parameters: Numbers among its constants that are multiplied or added, not shapes and the like.
-        num_multiply_adds: Multiplications with a weight for one input (one crop), including those with padded zeros.
+        num_multiply_adds: Multiplications with a weight for one input (one crop), including those with padded zeros;
+            where inputs are compared with one another, for one comparison.
     """
 
     num_parameters: int
@@ -57,9 +58,10 @@ def count_model(path: Path) -> ModelCounts:
         if weights is None:
             continue
         shape = shapes.get(node.output[0], ())
-        sides = shape[2:] if node.op_type in _CONVOLUTIONS else shape[1:-1]
+        is_convolution = node.op_type in _CONVOLUTIONS
+        sides = shape[2:] if is_convolution else shape[1:-1]
         known = [side for side in sides if side is not None]
-        if not shape or len(known) < len(sides):
+        if not shape or (is_convolution and len(known) < len(sides)):
             raise ValueError(f"{path}: {node.name or node.op_type}: expected an output of known shape, got {shape}")
         multiply_adds += math.prod(weights.dims) * math.prod(known)
     floats = (onnx.TensorProto.FLOAT, onnx.TensorProto.FLOAT16, onnx.TensorProto.BFLOAT16, onnx.TensorProto.INT8)

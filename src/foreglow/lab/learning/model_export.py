@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -17,8 +18,8 @@ from torch import nn
 from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
-from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
-from foreglow.lab.learning.samples import Samples
+from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork, Round
+from foreglow.lab.learning.samples import Samples, set_starts
 from foreglow.lab.learning.scores import Calibrator
 from foreglow.types import KINDS
 from foreglow.whole_files import write_atomic
@@ -42,6 +43,8 @@ def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
     """
     network = copy.deepcopy(network).eval()
     last = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    if isinstance(network, CompactNetwork):
+        last.append(network.last)
     if not last or last[-1].bias is None or last[-1].out_features not in (1, len(KINDS)):
         raise ValueError(f"network: expected a linear layer of 1 or {len(KINDS)} outputs, with a bias, at its end")
     with torch.no_grad():
@@ -76,15 +79,21 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
 def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]) -> float:
     """Largest difference of the logits of the model at `path` from `logits`, shape (N, outputs), relative to 1 + size.
 
+    The model is run set by set.
+
     Raises:
         ValueError: If the model cannot be run on these samples, or the difference is above `MAX_DIFFERENCE`.
     """
     session = open_session(path, num_threads=1)
-    given = {"crops": samples.crops.astype(np.float32) / 255, "features": samples.features}
+    given: dict[str, NDArray[Any]] = {"crops": samples.crops.astype(np.float32) / 255, "features": samples.features}
     wanted = [node.name for node in session.get_inputs()]
     if not set(wanted) <= given.keys():
         raise ValueError(f"{path}: inputs: expected crops, and features where they are read, got {', '.join(wanted)}")
-    found = session.run(None, {name: given[name] for name in wanted})[0]
+    parts = [
+        session.run(None, {name: given[name][start:end] for name in wanted})[0]
+        for start, end in itertools.pairwise([*set_starts(samples.sets).tolist(), len(samples)])
+    ]
+    found = np.concatenate(parts) if parts else logits[:0]
     difference = float(np.max(np.abs(found - logits) / (1 + np.abs(logits)), initial=0.0))
     if not difference <= MAX_DIFFERENCE:
         raise ValueError(f"{path}: expected the logits of torch to within {MAX_DIFFERENCE:g}, got {difference:.2g}")
@@ -117,14 +126,52 @@ def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[s
         name = graph.node("Relu", name)
     name = graph.node("Concat", graph.node("Flatten", name), "features", axis=1)
     name = graph.node("Relu", graph.linear(name, _array(network.hidden.weight), _array(network.hidden.bias)))
+    if isinstance(network, RelatedNetwork):
+        name = _related(graph, network, name)
     graph.linear(name, _array(network.last.weight), _array(network.last.bias), output="logits")
     about = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
     if spec.lag_s is not None:
         about["lag_s"] = repr(spec.lag_s)
     if spec.context is not None:
         about["context"] = str(spec.context)
+    if spec.together:
+        about["together"] = "1"
     inputs = {"crops": (spec.num_channels, spec.size_px, spec.size_px), "features": (spec.num_features,)}
     return graph.model(inputs, {"logits": (network.last.out_features,)}, about | dict(metadata))
+
+
+def _related(graph: Graph, network: RelatedNetwork, hidden: str) -> str:
+    """What the boxes tell one another, as in `networks.RelatedNetwork`; `hidden` has shape (N, size)."""
+    place = graph.linear("features", _array(network.place.weight), _array(network.place.bias))
+    hidden = graph.node("Add", hidden, place)
+    compared = graph.node("Gather", "features", graph.constant(list(network.COMPARED)), axis=1)
+    compared = graph.node("Mul", compared, graph.constant(np.array(network.SCALES)))
+    tellers, hearers = (graph.node("Unsqueeze", compared, graph.constant([axis])) for axis in (0, 1))
+    differences = graph.node("Sub", tellers, hearers)
+    across, along = (graph.node("Gather", differences, graph.constant([index]), axis=2) for index in (0, 1))
+    squares = [graph.node("Mul", each, each) for each in (across, along)]
+    square = graph.node("Add", graph.node("Add", *squares), graph.constant(np.array([network.LEAST_SQUARE])))
+    distances = graph.node("Sqrt", square)
+    # log2(x) / 8 as a natural logarithm of the square.
+    logarithms = graph.node("Mul", graph.node("Log", square), graph.constant(np.array([1 / (16 * np.log(2))])))
+    falling = graph.node("Exp", graph.node("Mul", distances, graph.constant(np.array([-8.0]))))
+    relations = graph.node("Concat", differences, graph.node("Abs", across), logarithms, falling, axis=2)
+    for each in network.rounds:
+        assert isinstance(each, Round)
+        heard = graph.linear(hidden, _array(each.hearer.weight), _array(each.hearer.bias))
+        told = graph.node("MatMul", hidden, graph.constant(_array(each.teller.weight).T))
+        told = graph.node(
+            "Add",
+            graph.node("Unsqueeze", heard, graph.constant([1])),
+            graph.node("Unsqueeze", told, graph.constant([0])),
+        )
+        told = graph.node("Add", told, graph.node("MatMul", relations, graph.constant(_array(each.relation.weight).T)))
+        told = graph.node("Relu", told)
+        mean, greatest = (graph.node(name, told, axes=[1], keepdims=0) for name in ("ReduceMean", "ReduceMax"))
+        both = graph.node("Concat", hidden, mean, greatest, axis=1)
+        update = graph.linear(both, _array(each.update.weight), _array(each.update.bias))
+        hidden = graph.node("Add", hidden, graph.node("Relu", update))
+    return hidden
 
 
 def _array(tensor: Any) -> NDArray[np.float64]:

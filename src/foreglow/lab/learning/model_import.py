@@ -17,12 +17,12 @@ from torch import nn
 from foreglow.classifier import OnnxClassifier
 from foreglow.classifier.inputs import InputSpec
 from foreglow.config import ClassifierConfig
-from foreglow.lab.learning.networks import CompactNetwork
+from foreglow.lab.learning.networks import CompactNetwork, Hearing, RelatedNetwork
 from foreglow.models import model_path
 from foreglow.types import KINDS
 
-_LAYERS = ("Conv",) * 4 + ("Gemm",) * 2
-"""The operations with weights in a model of the compact network, in order."""
+_OPERATIONS = ("Conv", "Gemm", "MatMul")
+"""The operations with weights."""
 
 
 class FoldedNetwork(CompactNetwork):
@@ -35,11 +35,14 @@ class FoldedNetwork(CompactNetwork):
     def train(self, mode: bool = True) -> Self:
         """As in `torch.nn.Module`, but in both modes the network computes the same."""
         super().train(mode)
-        self.dropout.eval()
-        for layer in self.body:
-            if isinstance(layer, nn.BatchNorm2d):
+        for layer in self.modules():
+            if isinstance(layer, nn.BatchNorm2d | nn.Dropout | Hearing):
                 layer.eval()
         return self
+
+
+class FoldedRelatedNetwork(FoldedNetwork, RelatedNetwork):
+    """The same of a network that compares the boxes of a frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,18 +81,21 @@ def read_model(model: Path) -> StartingPoint:
     content = path.read_bytes()
     graph = onnx.load_model_from_string(content).graph
     constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-    layers = [node for node in graph.node if node.op_type in set(_LAYERS)]
+    layers = [node for node in graph.node if node.op_type in _OPERATIONS]
     values: list[Any] = [constants.get(name) for node in layers for name in node.input[1:]]
     num_outputs = len(values[-1]) if values and values[-1] is not None else 0
-    network = FoldedNetwork(spec.num_channels, spec.num_features, len(KINDS) if num_outputs == len(KINDS) else 1)
+    make = FoldedRelatedNetwork if spec.together else FoldedNetwork
+    network = make(spec.num_channels, spec.num_features, len(KINDS) if num_outputs == len(KINDS) else 1)
     wanted = _parameters(network)
-    is_alike = tuple(node.op_type for node in layers) == _LAYERS and len(values) == len(wanted)
-    for parameter, value in zip(wanted, values, strict=False):
+    is_alike = [node.op_type for node in layers] == [name for name, _ in wanted]
+    parameters = [parameter for _, layer in wanted for parameter in layer]
+    is_alike = is_alike and len(values) == len(parameters)
+    for parameter, value in zip(parameters, values, strict=False):
         is_alike = is_alike and value is not None and _fits(parameter, value)
     if not is_alike:
         raise ValueError(f"{path}: expected a model of the recipe foreglow, whose network can be trained further")
     with torch.no_grad():
-        for parameter, value in zip(wanted, values, strict=True):
+        for parameter, value in zip(parameters, values, strict=True):
             parameter.copy_(torch.from_numpy(np.array(value[: len(parameter)])))
         for layer in network.body:
             if isinstance(layer, nn.BatchNorm2d) and layer.running_var is not None:
@@ -98,12 +104,24 @@ def read_model(model: Path) -> StartingPoint:
     return StartingPoint(str(model), network.eval(), spec, digest, tells_direct=num_outputs == 2)
 
 
-def _parameters(network: CompactNetwork) -> list[torch.Tensor]:
-    """Weight and bias of each layer of a model; the bias of a convolution is that of its normalisation."""
+def _parameters(network: CompactNetwork) -> list[tuple[str, tuple[torch.Tensor, ...]]]:
+    """Operation and parameters of each layer of a model; the bias of a convolution is that of its normalisation.
+
+    Products without a bias read their weights transposed.
+    """
     body: list[Any] = list(network.body)
-    pairs = [(convolution.weight, norm.bias) for convolution, norm in zip(body[0::3], body[1::3], strict=True)]
-    pairs += [(layer.weight, layer.bias) for layer in (network.hidden, network.last)]
-    return [parameter for pair in pairs for parameter in pair]
+    found: list[tuple[str, tuple[torch.Tensor, ...]]] = [
+        ("Conv", (convolution.weight, norm.bias)) for convolution, norm in zip(body[0::3], body[1::3], strict=True)
+    ]
+    linear: list[Any] = [network.hidden]
+    if isinstance(network, RelatedNetwork):
+        linear.append(network.place)
+        for each in network.rounds:
+            linear += [each.hearer, each.teller, each.relation, each.update]
+    for layer in (*linear, network.last):
+        has_bias = layer.bias is not None
+        found += [("Gemm", (layer.weight, layer.bias)) if has_bias else ("MatMul", (layer.weight.T,))]
+    return found
 
 
 def _fits(parameter: torch.Tensor, value: NDArray[Any]) -> bool:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
 
-from foreglow.classifier.inputs import InputSpec
+from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.lab.learning.recipes import Recipe
 
 
@@ -79,6 +79,117 @@ class CompactNetwork(nn.Module):
         return logits
 
 
+class RelatedNetwork(CompactNetwork):
+    """The compact network, whose boxes know of one another: lamps come in pairs, street lamps in rows.
+
+    Boxes of a frame exchange messages, twice. What box j tells box i depends on what both are like, and on how their
+    places, sizes and levels differ. A box hears the mean and the maximum of what it is told:
+
+        m_ij = relu(A h_i + B h_j + C g_ij),    h_i <- h_i + relu(D [h_i, mean_j m_ij, max_j m_ij])
+
+    Reads crops (N, C, 32, 32) and all ten features (N, 10); writes logits (N, 1) or (N, 5).
+
+    Source: message passing, Gilmer et al., arXiv 1704.01212.
+    """
+
+    NUM_ROUNDS = 2
+    NUM_TOLD = 32
+    COMPARED = tuple(FEATURES.index(name) for name in ("side", "row", "width", "height", "darkest", "brightest"))
+    """The features whose differences are in g_ij, beside three functions of the distance."""
+    SCALES = (0.5, 0.5, 1.0, 1.0, 1.0, 1.0)
+    """Places are compared in half widths of the frame."""
+    LEAST_SQUARE = 1e-5
+    """Added to the square of the distance, so that its logarithm is finite."""
+
+    def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
+        super().__init__(num_channels, num_features, num_outputs)
+        size = self.hidden.out_features
+        self.place = nn.Linear(num_features, size)
+        self.rounds = nn.ModuleList(Round(size, self.NUM_TOLD, len(self.COMPARED) + 3) for _ in range(self.NUM_ROUNDS))
+        self.hearing = Hearing()
+
+    def forward(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> Tensor:
+        """The logits of each crop.
+
+        Args:
+            crops: Shape (N, C, 32, 32).
+            features: Shape (N, 10).
+            sizes: Numbers of boxes of each frame, which sum to N; None if all are of one.
+        """
+        x = torch.cat([self.body(crops).flatten(1), features], dim=1)
+        hidden = torch.relu(self.hidden(x)) + self.place(features)
+        is_there = _is_there([len(crops)] if sizes is None else sizes, crops.device)
+        compared = _padded(features[:, list(self.COMPARED)] * features.new_tensor(self.SCALES), is_there)
+        relations = self._relations(compared)
+        is_heard = self.hearing(is_there).to(features.dtype)[..., None]
+        hidden = _padded(hidden, is_there)
+        for each in self.rounds:
+            hidden = each(hidden, relations, is_heard)
+        logits: Tensor = self.last(self.dropout(hidden[is_there]))
+        return logits
+
+    def _relations(self, compared: Tensor) -> Tensor:
+        """g_ij of what is compared, shape (B, N, 6): shape (B, N, N, 9)."""
+        differences = compared[:, None] - compared[:, :, None]
+        across, along = differences[..., :1], differences[..., 1:2]
+        distances = (across**2 + along**2 + self.LEAST_SQUARE).sqrt()
+        return torch.cat([differences, across.abs(), torch.log2(distances) / 8, torch.exp(-8 * distances)], dim=-1)
+
+
+class Hearing(nn.Module):
+    """Which boxes are heard by the others: all; in training, some are not, in each frame another share of them.
+
+    So what is learnt does not depend on how many boxes a camera's images have, or on all of them being there.
+    """
+
+    LARGEST_SHARE = 0.9
+
+    def forward(self, is_there: Tensor) -> Tensor:
+        """Shape (B, N), bool, of where there is a box."""
+        if not self.training:
+            return is_there
+        shares = self.LARGEST_SHARE * torch.rand(len(is_there), 1, device=is_there.device)
+        return is_there & (torch.rand(is_there.shape, device=is_there.device) >= shares)
+
+
+class Round(nn.Module):
+    """Each box is told something by each, itself included."""
+
+    def __init__(self, size: int, num_told: int, num_relations: int) -> None:
+        super().__init__()
+        self.hearer = nn.Linear(size, num_told)
+        self.teller = nn.Linear(size, num_told, bias=False)
+        self.relation = nn.Linear(num_relations, num_told, bias=False)
+        self.update = nn.Linear(size + 2 * num_told, size)
+
+    def forward(self, hidden: Tensor, relations: Tensor, is_heard: Tensor) -> Tensor:
+        """The new values of shape (B, N, size), of these, relations (B, N, N, 9), and 1 or 0 of shape (B, N, 1)."""
+        told = torch.relu(self.hearer(hidden)[:, :, None] + self.teller(hidden)[:, None] + self.relation(relations))
+        told = told * is_heard[:, None]
+        mean = told.sum(dim=2) / is_heard.sum(dim=1, keepdim=True).clamp_min(1)
+        return hidden + torch.relu(self.update(torch.cat([hidden, mean, told.amax(dim=2)], dim=-1)))
+
+
+def _is_there(sizes: Sequence[int], device: torch.device) -> Tensor:
+    """Shape (B, N), bool: where there is a box in rows of the largest of `sizes`."""
+    return torch.arange(max(sizes), device=device)[None] < torch.tensor(list(sizes), device=device)[:, None]
+
+
+def _padded(values: Tensor, is_there: Tensor) -> Tensor:
+    """Shape (B, N, F): the rows of `values` where there is a box, zeros elsewhere."""
+    padded = values.new_zeros(*is_there.shape, values.shape[1])
+    padded[is_there] = values
+    return padded
+
+
+def logits_of(network: nn.Module, crops: Tensor, features: Tensor, sizes: Sequence[int]) -> Tensor:
+    """The logits of crops; networks that compare the boxes of a frame are told how many each frame has."""
+    logits: Tensor = (
+        network(crops, features, sizes) if isinstance(network, RelatedNetwork) else network(crops, features)
+    )
+    return logits
+
+
 def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
     convolution = nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False)
     return [convolution, nn.BatchNorm2d(outputs), nn.ReLU()]
@@ -87,6 +198,7 @@ def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Mod
 NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
     "paper": lambda spec, num_outputs: ArtifactNetwork(),  # noqa: ARG005
     "compact": lambda spec, num_outputs: CompactNetwork(spec.num_channels, spec.num_features, num_outputs),
+    "related": lambda spec, num_outputs: RelatedNetwork(spec.num_channels, spec.num_features, num_outputs),
 }
 """Untrained networks by name, for given inputs and a given number of logits."""
 

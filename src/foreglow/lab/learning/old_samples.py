@@ -20,12 +20,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
-from foreglow.classifier.inputs import FEATURES, InputSpec
+from foreglow.classifier.inputs import InputSpec
 from foreglow.config import preset
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.images import NPY_ERRORS
+from foreglow.datasets.pvdn import is_split
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import RECIPES
 from foreglow.lab.learning.sample_cache import cached_samples
@@ -35,16 +35,15 @@ from foreglow.whole_files import write_atomic
 
 NUM_SAMPLES = 3000
 
-WIDEST = InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6)
+WIDEST = RECIPES["foreglow"].inputs
 """What the samples hold: models that read fewer channels or features are given those."""
 
-POSITIVE_SHARE = 0.4
-"""Of the samples; there are ten times as many boxes without light, but few of them teach anything."""
+LIT_SHARE = 0.75
+"""Of the samples that are mixed in, those of images with light of vehicles."""
 
-NUM_JUDGING = {POSITIVE: 130, NEGATIVE: 220}
-"""Samples of each camera that judge, about: by these and by all boxes of 16 drives, losses differ by up to .005."""
+NUM_JUDGING = {True: 26, False: 12}
+"""Images of each camera that judge, with light of vehicles and without."""
 
-_LEAST_SHARE = 0.05  # added to a score: boxes that look unlike light are drawn as well
 _QUALITY = 80  # of WebP: 2 grey levels off on average, at 0.5 kB a sample
 _COLUMNS = 64
 
@@ -55,7 +54,7 @@ class HeldOut:
 
     Attributes:
         camera: Its name.
-        samples: Without doubtful ones.
+        samples: In whole sets.
         weights: Shape (N,), float32: how many boxes of the drives each stands for.
     """
 
@@ -73,7 +72,7 @@ class OldSamples:
 
 
 def chosen(parts: Sequence[Samples], num_samples: int, seed: int = 0) -> Samples:
-    """Samples drawn at random, as many of each part, without doubtful ones.
+    """About so many samples in whole sets drawn at random, as many of each part, most of images with light.
 
     >>> from foreglow.lab.learning.samples import no_samples
     >>> len(chosen([no_samples(WIDEST)], 10))
@@ -81,51 +80,36 @@ def chosen(parts: Sequence[Samples], num_samples: int, seed: int = 0) -> Samples
     """
     random, drawn = np.random.default_rng(seed), []
     for part in parts:
-        for label, share in ((POSITIVE, POSITIVE_SHARE), (NEGATIVE, 1 - POSITIVE_SHARE)):
-            indices = np.flatnonzero(part.labels == label)
-            count = min(len(indices), round(share * num_samples / len(parts)))
-            drawn.append(part[np.sort(random.choice(indices, count, replace=False))])
+        for share, sets in zip((LIT_SHARE, 1 - LIT_SHARE), _lit_and_dark(part), strict=True):
+            sets = random.permutation(sets)
+            counts = np.cumsum([np.count_nonzero(part.sets == number) for number in sets])
+            wanted = sets[: np.searchsorted(counts, share * num_samples / len(parts)) + 1]
+            drawn.append(part[np.isin(part.sets, wanted)])
     return joined(drawn)
 
 
-def held_out(
-    camera: str, samples: Samples, scores: NDArray[np.floating[Any]], num: Mapping[int, int], seed: int = 0
-) -> HeldOut:
-    """Samples drawn at random to judge by; the more a box without light looks like light, the likelier it is drawn.
+def held_out(camera: str, samples: Samples, num: Mapping[bool, int], seed: int = 0) -> HeldOut:
+    """Samples drawn at random, in whole sets, to judge by.
 
     What is drawn counts as one over its probability, so that figures of a few samples are those of all, on average.
 
     Args:
         camera: Its name.
         samples: All that there are of it.
-        scores: Shape (N,): how much each looks like light.
-        num: How many are drawn on average, by label.
+        num: How many sets are drawn, with light (True) and without.
         seed: Of the draws.
     """
-    shares = np.zeros(len(samples))
-    shares[samples.labels == POSITIVE] = 1.0
-    is_negative = samples.labels == NEGATIVE
-    shares[is_negative] = _LEAST_SHARE + scores[is_negative]
-    random, is_drawn = np.random.default_rng(seed), np.zeros(len(samples), np.bool_)
-    for label, wanted in num.items():
-        here = np.flatnonzero(samples.labels == label)
-        here = here[np.argsort(scores[here], kind="stable")]
-        shares[here] = _probabilities(shares[here], wanted)
-        steps = np.floor(np.cumsum(shares[here]) + random.random())  # so boxes of all scores are drawn
-        is_drawn[here] = np.diff(steps, prepend=0.0) > 0
-    return HeldOut(camera, samples[is_drawn], (1 / shares[is_drawn]).astype(np.float32))
+    random, weights = np.random.default_rng(seed), np.zeros(len(samples), np.float32)
+    for is_lit, sets in zip((True, False), _lit_and_dark(samples), strict=True):
+        wanted = random.choice(sets, min(num[is_lit], len(sets)), replace=False)
+        weights[np.isin(samples.sets, wanted)] = len(sets) / max(1, len(wanted))
+    return HeldOut(camera, samples[weights > 0], weights[weights > 0])
 
 
-def _probabilities(shares: NDArray[np.float64], wanted: int) -> NDArray[np.float64]:
-    """Probabilities that are proportional to `shares`, but at most 1, and sum to `wanted`, or to N if that is less."""
-    if len(shares) <= wanted:
-        return np.ones(len(shares))
-    is_sure = np.zeros(len(shares), np.bool_)
-    while True:
-        found = np.where(is_sure, 1.0, shares * (wanted - is_sure.sum()) / shares[~is_sure].sum())
-        if (found <= 1.0).all():
-            return found
-        is_sure |= found >= 1.0
+def _lit_and_dark(samples: Samples) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """The numbers of the sets with light of vehicles, and of those without."""
+    lit = np.unique(samples.sets[samples.labels == POSITIVE])
+    return lit, np.setdiff1d(samples.sets, lit)
 
 
 def write_old_samples(path: Path, old: OldSamples) -> None:
@@ -162,6 +146,7 @@ def read_old_samples(path: Path, spec: InputSpec) -> OldSamples:
         num_features=WIDEST.num_features,
         lag_s=WIDEST.lag_s if spec.lag_s is None else spec.lag_s,
         context=WIDEST.context if spec.context is None else spec.context,
+        together=WIDEST.together,
     )
     if given != WIDEST:
         raise ValueError(
@@ -222,28 +207,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from foreglow.display.progress import StepProgress
 
     parser = argparse.ArgumentParser(prog="python -m foreglow.lab.learning.old_samples", description=__doc__)
-    parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets whose split train is mixed in")
+    parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets (train is mixed in) or splits")
     parser.add_argument(
         "--judge", nargs="+", type=Path, metavar="DATA", required=True, help="... whose split val judges, by camera"
     )
     parser.add_argument("--out", type=Path, default=OLD_SAMPLES, help="the file to write")
     parser.add_argument("--cache", type=Path, required=True, help="where samples are kept, such as those of a training")
     parser.add_argument("--samples", type=int, default=NUM_SAMPLES, metavar="N", help="how many are mixed in")
-    parser.add_argument("--model", type=Path, default=Path("foreglow"), help="says what looks like light")
     given = parser.parse_args(arguments)
     recipe = RECIPES["foreglow"]
     config = SampleConfig(
-        proposals=preset("foreglow").proposals, inputs=WIDEST, jitter=recipe.jitter, by_light=recipe.by_light
+        proposals=preset("foreglow").proposals, inputs=recipe.inputs, jitter=recipe.jitter, by_light=recipe.by_light
     )
     with StepProgress() as progress:
         parts = []
         for data in given.data:
-            split = open_labelled(split_folder(data, "train"))
+            split = open_labelled(data if is_split(data) else split_folder(data, "train"))
             parts.append(cached_samples(split, config, given.cache, progress.of(f"{data}: images")))
         splits: dict[str, list[LabelledSource]] = {}
         for data in given.judge:
             splits.setdefault("/".join(data.parts[-2:]), []).append(open_labelled(split_folder(data, "val")))
-        judge = [judging(camera, found, config, given.model, given.cache) for camera, found in splits.items()]
+        judge = [judging(camera, found, config, given.cache) for camera, found in splits.items()]
     old = OldSamples(chosen(parts, given.samples), tuple(judge))
     write_old_samples(given.out, old)
     counts = [old.learn.num_labelled(label) for label in (POSITIVE, NEGATIVE)]
@@ -254,29 +238,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
 
 
-def judging(camera: str, splits: Sequence[LabelledSource], config: SampleConfig, model: Path, cache: Path) -> HeldOut:
-    """Samples of a camera's splits to judge by, drawn with a model's help; without those in which light is doubtful.
+def judging(camera: str, splits: Sequence[LabelledSource], config: SampleConfig, cache: Path) -> HeldOut:
+    """Samples of a camera's splits to judge by; those in which light is doubtful are labelled so.
 
     Raises:
-        As `cached_samples`, and `model_import.read_model`.
+        As `cached_samples`.
     """
-    import torch
-
-    from foreglow.lab.learning.model_import import read_model
-    from foreglow.lab.learning.scores import light_logits
-    from foreglow.lab.learning.training import score_samples
-
     plain = config.model_copy(update={"jitter": Jitter()})
     parts = []
     for split in splits:
         by_light, by_points = (
             cached_samples(split, plain.model_copy(update={"by_light": each}), cache) for each in (True, False)
         )
-        parts.append(by_light[(by_light.labels != IGNORED) & (by_points.labels != IGNORED)])
-    samples = joined(parts)
-    start = read_model(model)
-    logits = score_samples(start.network, _as_read(samples, start.inputs), torch.device("cpu"))
-    return held_out(camera, samples, expit(light_logits(logits)), NUM_JUDGING)
+        labels = np.where(by_points.labels == IGNORED, np.int8(IGNORED), by_light.labels)
+        parts.append(dataclasses.replace(by_light, labels=labels))
+    return held_out(camera, joined(parts), NUM_JUDGING)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ class Augmentation(FrozenModel):
         history_dropout: Probability that the second channel, the earlier image, is black, as at a sequence's start.
         feature_noise: Standard deviation of the noise on the features, in units of their standard deviations over the
             training samples.
+        zoom: Where the boxes of a frame are read together, the frame is enlarged by up to exp(zoom), or made smaller.
     """
 
     flip: Share = 0.0
@@ -42,6 +43,7 @@ class Augmentation(FrozenModel):
     normalise: bool = False
     history_dropout: Share = 0.0
     feature_noise: Annotated[float, Field(ge=0, le=10)] = 0.0
+    zoom: Share = 0.0
 
 
 class Recipe(FrozenModel):
@@ -120,6 +122,10 @@ class Recipe(FrozenModel):
     def _check(self) -> Recipe:
         if self.schedule == "plateau" and self.warmup_epochs:
             raise ValueError("warmup_epochs: expected 0 with the schedule plateau")
+        if self.inputs.together and self.max_negatives_per_positive is not None:
+            raise ValueError(
+                "max_negatives_per_positive: expected none where inputs.together, since all boxes are read"
+            )
         if self.warmup_epochs > self.epochs:
             raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
         return self
@@ -144,10 +150,9 @@ RECIPES: dict[str, Recipe] = {
         calibration="none",
     ),
     "foreglow": Recipe(
-        network="compact",
-        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6),
-        jitter=Jitter(num_copies=1),
-        epochs=30,
+        network="related",
+        inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6, together=True),
+        epochs=20,
         batch_size=256,
         optimiser="adamw",
         learning_rate=2e-3,
@@ -156,7 +161,6 @@ RECIPES: dict[str, Recipe] = {
         warmup_epochs=1.0,
         max_gradient=5.0,
         ema_decay=0.998,
-        max_negatives_per_positive=4.0,
         positive_weight="equal",
         group_balance=0.25,
         kinds=True,
@@ -172,6 +176,7 @@ RECIPES: dict[str, Recipe] = {
             normalise=True,
             history_dropout=0.3,
             feature_noise=0.4,
+            zoom=0.5,
         ),
         best_by="f1",
         calibration="platt",

@@ -20,7 +20,7 @@ from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.simulated import shares_path
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 
-FORMAT = 2
+FORMAT = 3
 """Increased whenever the samples made from the same images and configuration change."""
 
 _DONE = "samples.json"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
+from foreglow.classifier.onnx import MAX_TOGETHER
 from foreglow.config import FrozenModel, ProposalConfig
 from foreglow.datasets import LabelledSource
 from foreglow.lab.evaluation.boxes.lights import SEEN_ON, Light, SplitShares, read_lights, read_split_shares
@@ -47,6 +48,8 @@ def input_spec(fields: Any) -> Any:
             raise ValueError(f"{name}: expected a number or none, got {value!r}")
         if name == "context" and not (value is None or type(value) is int):
             raise ValueError(f"{name}: expected a whole number or none, got {value!r}")
+        if name == "together" and type(value) is not bool:
+            raise ValueError(f"{name}: expected true or false, got {value!r}")
         if name in ("size_px", "support", "num_features") and type(value) is not int:
             raise ValueError(f"{name}: expected a whole number, got {value!r}")
     return InputSpec(**fields)
@@ -102,6 +105,7 @@ class Samples:
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
         image_ids: Shape (N,), int64, unique within a data set.
         sequence_ids: Shape (N,), int32, unique within a data set.
+        sets: Shape (N,), int32: the boxes that a model reads together have the same number, and follow one another.
         digest: Of the data and the configuration that they were made from; empty where unknown.
 
     Raises:
@@ -116,6 +120,7 @@ class Samples:
     boxes_xyxy_px: Boxes
     image_ids: NDArray[np.int64]
     sequence_ids: NDArray[np.int32]
+    sets: NDArray[np.int32]
     digest: str = ""
 
     def __post_init__(self) -> None:
@@ -142,6 +147,13 @@ class Samples:
         """Some of the samples: by slice, indices or mask."""
         return dataclasses.replace(self, **{name: getattr(self, name)[chosen] for name in ARRAYS})
 
+    def whole_sets(self, num_samples: int) -> Samples:
+        """About so many of the samples, in whole sets that are spread evenly over them; all if there are fewer."""
+        starts = set_starts(self.sets)
+        num_sets = max(1, round(len(starts) * min(1.0, num_samples / max(1, len(self)))))
+        wanted = starts[np.linspace(0, len(starts) - 1, num_sets).astype(int)] if len(starts) else starts
+        return self[np.isin(self.sets, self.sets[wanted])]
+
     def num_labelled(self, label: int) -> int:
         """How many samples have this label."""
         return int(np.count_nonzero(self.labels == label))
@@ -157,8 +169,18 @@ ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
     "boxes_xyxy_px": (np.int32, (4,)),
     "image_ids": (np.int64, ()),
     "sequence_ids": (np.int32, ()),
+    "sets": (np.int32, ()),
 }
 assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(Samples)}
+
+
+def set_starts(sets: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Where each set begins, among samples whose sets have these numbers.
+
+    >>> set_starts(np.array([4, 4, 7, 5, 5], np.int32)).tolist()
+    [0, 2, 3]
+    """
+    return np.flatnonzero(np.diff(sets, prepend=sets[:1] - 1))
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
@@ -170,6 +192,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
     if len(parts) == 1:
         return parts[0]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
+    nums_sets = [int(part.sets.max(initial=-1)) + 1 for part in parts]
+    arrays["sets"] += np.repeat(np.cumsum([0, *nums_sets[:-1]]), [len(part) for part in parts]).astype(np.int32)
     has_digests = all(part.digest for part in parts)
     digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
     return Samples(**arrays, digest=digest)
@@ -187,6 +211,7 @@ def samples_by_image(
     # One maker for the boxes and one for each set of copies, so that what they remember is not mixed.
     makers = [InputMaker(config.inputs) for _ in range(1 + config.jitter.num_copies)]
     lights = read_lights(dataset)
+    num_sets = 0
     shares = read_split_shares(dataset) if config.by_light else {}
     sequence_id = -1
     for num_done, image_id in enumerate(dataset.frame_ids):
@@ -214,7 +239,9 @@ def samples_by_image(
         random = np.random.default_rng([config.jitter.seed, image_id])
         for number, maker in enumerate(makers):
             shown = boxes if number == 0 else jittered(boxes, frame, config.jitter, random)
-            yield _samples(maker, frame, shown, (labels, kinds, groups), sequence_id)
+            sets = num_sets + np.arange(len(boxes), dtype=np.int32) // MAX_TOGETHER
+            num_sets += -(-len(boxes) // MAX_TOGETHER)
+            yield _samples(maker, frame, shown, (labels, kinds, groups), sequence_id, sets)
     if progress is not None:
         progress(len(dataset.frame_ids), len(dataset.frame_ids))
 
@@ -295,6 +322,7 @@ def _samples(
     boxes_xyxy_px: Boxes,
     truth: tuple[NDArray[np.int8], NDArray[np.float32], NDArray[np.int8]],
     sequence_id: int,
+    sets: NDArray[np.int32],
 ) -> Samples:
     labels, kinds, groups = truth
     inputs = maker.make(frame, Proposals(boxes_xyxy_px))
@@ -307,4 +335,5 @@ def _samples(
         boxes_xyxy_px=boxes_xyxy_px,
         image_ids=np.full(len(labels), frame.frame, np.int64),
         sequence_ids=np.full(len(labels), sequence_id, np.int32),
+        sets=sets,
     )

@@ -12,7 +12,7 @@ import dataclasses
 import io
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -32,11 +32,13 @@ from foreglow.lab.learning.batches import (
     kind_targets,
     learning_rate,
     sample_weights,
+    set_batches,
+    set_sizes,
 )
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
-from foreglow.lab.learning.networks import recipe_network
+from foreglow.lab.learning.networks import RelatedNetwork, logits_of, recipe_network
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import Samples
+from foreglow.lab.learning.samples import Samples, set_starts
 from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 from foreglow.whole_files import write_atomic
@@ -184,10 +186,13 @@ def score_samples(
 ) -> NDArray[np.float32]:
     """Logits of all samples without augmentation, shape (N, outputs); leaves the network in evaluation mode."""
     network.eval()
+    starts: NDArray[np.intp] = np.arange(0, max(len(samples), 1), _SCORING_BATCH)  # at least one, to get the shape
+    if isinstance(network, RelatedNetwork) and len(samples):
+        starts = set_starts(samples.sets)
     logits = []
     with torch.inference_mode(), _precision(precision, device):
-        for start in range(0, max(len(samples), 1), _SCORING_BATCH):  # at least once, to get the shape
-            crops, features = _tensors(samples, np.arange(start, min(start + _SCORING_BATCH, len(samples))), device)
+        for start, end in zip(starts, np.append(starts[1:], len(samples)), strict=True):
+            crops, features = _tensors(samples, np.arange(start, end), device)
             logits.append(network(_laid_out(crops), features).float().cpu().numpy())
     return np.concatenate(logits)
 
@@ -230,7 +235,8 @@ class _Trainer:
         if recipe.ema_decay:
             self._averaged = {name: value.clone() for name, value in self.network.state_dict().items()}
         self._feature_scale = torch.from_numpy(samples.features.std(axis=0)).to(device)
-        seen = epoch_indices(samples.labels, recipe, 1)
+        seen = np.concatenate(list(self._batches(1)))
+        seen = seen[samples.labels[seen] != IGNORED]
         if teacher is not None:
             seen = seen[~teacher.is_told[seen]]
         num_seen = np.bincount(samples.labels[seen], minlength=2)
@@ -240,6 +246,13 @@ class _Trainer:
         self._kinds = kind_targets(samples, recipe.unmarked_light)
         if recipe.kinds and np.isnan(samples.kinds[samples.labels != IGNORED]).any():
             raise ValueError("train samples: expected the kind of light of every labelled box, found NaN")
+
+    def _batches(self, number: int) -> Iterator[NDArray[np.intp]]:
+        """The batches of an epoch; with doubtful samples if those of a frame are needed together."""
+        recipe, samples = self._recipe, self._samples
+        if recipe.inputs.together:
+            return set_batches(samples, recipe, number)
+        return batches(epoch_indices(samples.labels, recipe, number), recipe.batch_size)
 
     def states(self) -> tuple[State, State, State]:
         """Copies of the states of the network, the running mean and the optimiser, on the CPU."""
@@ -261,7 +274,7 @@ class _Trainer:
         val_losses = [row["val_loss"] for row in checkpoint.epochs]
         torch.manual_seed(_epoch_seed(self._recipe, number))  # for dropout
         random = torch.Generator().manual_seed(_epoch_seed(self._recipe, number) + 1)
-        chosen = list(batches(epoch_indices(self._samples.labels, self._recipe, number), self._recipe.batch_size))
+        chosen = list(self._batches(number))
         total, num_samples, rate = 0.0, 0, 0.0
         self.network.train()
         for index, batch in enumerate(chosen):
@@ -297,6 +310,7 @@ class _Trainer:
         for group in self._optimiser.param_groups:
             group["lr"] = rate
         crops, features = _tensors(self._samples, batch, self._device)
+        sizes = set_sizes(self._samples.sets[batch]) if recipe.inputs.together else [len(batch)]
         if self._teacher is not None:
             is_told = torch.from_numpy(self._teacher.is_told[batch]).to(self._device)
             crops[is_told], features[is_told] = blended(crops[is_told], features[is_told], random)
@@ -307,17 +321,24 @@ class _Trainer:
             self._feature_scale,
             random,
             has_context=recipe.inputs.context is not None,
+            sizes=sizes if recipe.inputs.together else None,
         )
         self._optimiser.zero_grad(set_to_none=True)
         with _precision(recipe.precision, self._device):
-            logits: Tensor = self.network(_laid_out(crops), features)
-        weights = torch.from_numpy(self._weights[batch]).to(self._device)
-        losses = weights * (self._kinds_losses if recipe.kinds else self._losses)(logits.float(), batch)
+            logits = logits_of(self.network, _laid_out(crops), features, sizes)
+        is_learnt = torch.from_numpy(self._samples.labels[batch] != IGNORED).to(self._device)
+        parts = []
         if self._teacher is not None:
             with torch.no_grad():
-                told = self._teacher.network(_laid_out(crops[is_told]), features[is_told])
-            losses = torch.cat([losses[~is_told], self._teacher.weight * told_losses(logits[is_told].float(), told)])
-        loss = losses.mean()
+                told = logits_of(self._teacher.network, _laid_out(crops), features, sizes)
+            parts.append(self._teacher.weight * told_losses(logits[is_told].float(), told[is_told]))
+            is_learnt &= ~is_told
+        learnt = batch[is_learnt.cpu().numpy()]
+        weights = torch.from_numpy(self._weights[learnt]).to(self._device)
+        parts.append(
+            weights * (self._kinds_losses if recipe.kinds else self._losses)(logits[is_learnt].float(), learnt)
+        )
+        loss = torch.cat(parts).mean()
         loss.backward()  # type: ignore[no-untyped-call]
         if recipe.max_gradient is not None:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.max_gradient)

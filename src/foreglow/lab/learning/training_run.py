@@ -12,11 +12,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
+from foreglow.datasets.pvdn import is_split
 from foreglow.files import write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
@@ -51,10 +51,12 @@ def train_model(
 ) -> dict[str, Any]:
     """Trains the recipe's network on the proposals of `config` in every DATA/train, and selects it on every DATA/val.
 
+    DATA may be single splits to train on, beside at least one data set with a split val.
+
     An interrupted run continues when it is called again with the same arguments. Returns what `summary.json` holds.
 
     Args:
-        data: One or more data sets with the splits train and val.
+        data: One or more data sets with the splits train and val, or single splits to train on.
         recipe: How to train.
         config: Its proposals are the boxes that the network is trained on.
         folder: Folder for all results; made if it does not exist.
@@ -74,7 +76,13 @@ def train_model(
 
     started = time.perf_counter()
     names: tuple[SplitName, ...] = ("train", "val")
-    splits = {name: [open_labelled(split_folder(folder, name)) for folder in data] for name in names}
+    whole = [path for path in data if not is_split(path)]
+    if not whole:
+        raise ValueError(f"{data[0]}: expected at least one data set with a split val, got single splits alone")
+    splits = {
+        "train": [open_labelled(path if is_split(path) else split_folder(path, "train")) for path in data],
+        "val": [open_labelled(split_folder(path, "val")) for path in whole],
+    }
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
@@ -129,7 +137,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
     about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **made_with}
     write_model(network, recipe.inputs, folder / MODEL, about)
-    chosen = val[np.linspace(0, len(val) - 1, min(_NUM_COMPARED, len(val))).astype(int)]
+    chosen = val.whole_sets(_NUM_COMPARED)
     difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
     weights = io.BytesIO()
     torch.save(network.state_dict(), weights)

@@ -1,0 +1,175 @@
+"""The network that compares the boxes of a frame: as a model, in training, and what it learns that others cannot."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier  # noqa: E402
+from foreglow.classifier.inputs import InputMaker  # noqa: E402
+from foreglow.classifier.onnx import MAX_TOGETHER  # noqa: E402
+from foreglow.config import ClassifierConfig  # noqa: E402
+from foreglow.lab.learning.augmentation import COLUMN, PLACES, SIDE, SIZES, augment  # noqa: E402
+from foreglow.lab.learning.batches import set_batches, set_sizes  # noqa: E402
+from foreglow.lab.learning.model_export import largest_difference, write_model  # noqa: E402
+from foreglow.lab.learning.networks import Hearing, RelatedNetwork  # noqa: E402
+from foreglow.lab.learning.recipes import RECIPES, Augmentation, Recipe, changed  # noqa: E402
+from foreglow.lab.learning.samples import Samples, joined  # noqa: E402
+from foreglow.lab.learning.training import score_samples, train  # noqa: E402
+from foreglow.types import Frame, Proposals  # noqa: E402
+
+pytestmark = pytest.mark.torch
+
+SPEC = InputSpec(32, 2, None, len(FEATURES), None, together=True)
+CPU = torch.device("cpu")
+
+
+def network(seed: int = 0) -> RelatedNetwork:
+    """A network whose batch normalisations have seen something."""
+    torch.manual_seed(seed)
+    made = RelatedNetwork(SPEC.num_channels, SPEC.num_features, 1).train()
+    made(torch.rand(64, 1, 32, 32), torch.rand(64, len(FEATURES)), [40, 24])
+    return made.eval()
+
+
+def pairs(num_sets: int, seed: int) -> Samples:
+    """Boxes all alike but for their places: in sets with light, each has another at its height on the other side."""
+    random = np.random.default_rng(seed)
+    features, labels, sets = [], [], []
+    for number in range(num_sets):
+        is_lit = bool(random.random() < 0.5)
+        rows, sides = random.uniform(-0.8, 0.8, 3), random.uniform(0.2, 1.5, 3)
+        row = np.concatenate([rows, rows if is_lit else random.uniform(-0.8, 0.8, 3)])
+        side = np.concatenate([sides, -sides if is_lit else -random.uniform(0.2, 1.5, 3)])
+        each = np.full((6, len(FEATURES)), 0.5, np.float32)
+        each[:, FEATURES.index("row")], each[:, FEATURES.index("side")] = row, side
+        each[:, FEATURES.index("column")] = np.abs(side)
+        features.append(each)
+        labels += [is_lit] * 6
+        sets += [number] * 6
+    count = len(labels)
+    return Samples(
+        crops=np.full((count, 1, 32, 32), 128, np.uint8),
+        features=np.concatenate(features),
+        labels=np.array(labels, np.int8),
+        kinds=np.zeros((count, 5), np.float32),
+        groups=np.where(labels, 0, -1).astype(np.int8),
+        boxes_xyxy_px=np.tile(np.array([0, 0, 4, 4], np.int32), (count, 1)),
+        image_ids=np.array(sets, np.int64),
+        sequence_ids=np.zeros(count, np.int32),
+        sets=np.array(sets, np.int32),
+    )
+
+
+RECIPE = Recipe(
+    network="related",
+    inputs=SPEC,
+    epochs=12,
+    batch_size=64,
+    optimiser="adamw",
+    learning_rate=0.005,
+    weight_decay=0.0,
+    schedule="cosine",
+    positive_weight="equal",
+    augmentation=Augmentation(flip=0.5, feature_noise=0.2),
+)
+
+
+@pytest.mark.slow
+def test_it_learns_what_no_box_shows_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Hearing, "LARGEST_SHARE", 0.1)  # few epochs are enough then
+    judged = pairs(100, 2)
+    num_light = judged.num_labelled(1)
+    blind = 2 * num_light / (num_light + len(judged))  # the best F of boxes that are all alike
+    assert train(RECIPE, pairs(400, 1), judged, tmp_path).best.f1 > (1 + blind) / 2
+
+
+def test_sets_of_a_batch_do_not_know_of_each_other() -> None:
+    made, samples = network(), pairs(4, 1)
+    crops, features = torch.from_numpy(samples.crops).float() / 255, torch.from_numpy(samples.features)
+    with torch.inference_mode():
+        together = made(crops, features, set_sizes(samples.sets)).numpy()
+        alone = made(crops[6:12], features[6:12]).numpy()
+        mixed = made(crops, features).numpy()
+    np.testing.assert_allclose(together[6:12], alone, atol=1e-5)
+    assert np.abs(mixed[6:12] - alone).max() > 1e-3, "a set is told something by its own boxes only"
+    np.testing.assert_allclose(score_samples(made, samples, CPU), together, atol=1e-5)
+
+
+def test_the_model_computes_what_the_network_does(tmp_path: Path) -> None:
+    made = network()
+    samples = joined([pairs(3, 1), pairs(2, 2)[:9]])  # the last set is cut
+    write_model(made, SPEC, tmp_path / "model.onnx", {})
+    assert largest_difference(tmp_path / "model.onnx", samples, score_samples(made, samples, CPU)) < 1e-4
+    with pytest.raises(ValueError, match="expected the logits of torch"):
+        largest_difference(tmp_path / "model.onnx", samples, score_samples(network(1), samples, CPU))
+
+
+def test_the_classifier_reads_the_boxes_of_a_frame_together(tmp_path: Path) -> None:
+    made = network()
+    write_model(made, SPEC, tmp_path / "model.onnx", {})
+    classifier = OnnxClassifier(ClassifierConfig(model=tmp_path / "model.onnx"))
+    assert classifier.spec == SPEC
+    random = np.random.default_rng(0)
+    frame = Frame(random.integers(0, 256, (96, 128)).astype(np.uint8), 0)
+    corners = random.integers(0, 80, (MAX_TOGETHER + 30, 2))
+    boxes = Proposals(np.concatenate([corners, corners + 12], axis=1).astype(np.int32))
+    scores = classifier.classify(frame, boxes).scores
+    inputs = InputMaker(SPEC).make(frame, boxes)
+    parts = []
+    for part in (slice(0, MAX_TOGETHER), slice(MAX_TOGETHER, None)):
+        with torch.inference_mode():
+            parts.append(made(torch.from_numpy(inputs.crops[part]), torch.from_numpy(inputs.features[part])).numpy())
+    np.testing.assert_allclose(scores, 1 / (1 + np.exp(-np.concatenate(parts)[:, 0])), atol=1e-5)
+
+
+def test_batches_are_of_whole_sets_with_labels() -> None:
+    samples = pairs(40, 3)
+    labels = samples.labels.copy()
+    labels[:12] = -1  # all of two sets
+    labels[12] = -1  # one box of another: it is seen, but not learnt
+    samples = dataclasses.replace(samples, labels=labels)
+    batches = list(set_batches(samples, RECIPE, 1))
+    assert max(map(len, batches)) <= RECIPE.batch_size
+    assert all(set(set_sizes(samples.sets[batch])) == {6} for batch in batches)
+    np.testing.assert_array_equal(np.sort(np.concatenate(batches)), np.arange(12, len(samples)))
+    assert not np.array_equal(np.concatenate(batches), np.concatenate(list(set_batches(samples, RECIPE, 2))))
+
+
+def test_boxes_of_a_frame_are_reflected_and_moved_together() -> None:
+    samples = pairs(30, 4)
+    sizes = set_sizes(samples.sets)
+    crops, features = torch.rand(len(samples), 1, 32, 32), torch.from_numpy(samples.features)
+    random = torch.Generator().manual_seed(1)
+    flipped, changed_features = augment(
+        crops, features, Augmentation(flip=0.5), torch.ones(len(FEATURES)), random, sizes=sizes
+    )
+    is_flipped = torch.isclose(flipped, crops.flip(3)).all(dim=(1, 2, 3)).numpy().reshape(-1, 6)
+    assert (is_flipped == is_flipped[:, :1]).all()
+    assert 5 < is_flipped[:, 0].sum() < 25
+    signs = np.where(is_flipped.ravel(), -1, 1)
+    np.testing.assert_allclose(changed_features[:, SIDE], samples.features[:, SIDE] * signs)
+    _, moved = augment(crops, features, Augmentation(feature_noise=0.5), torch.ones(len(FEATURES)), random, sizes=sizes)
+    shifts = (moved - features).numpy().reshape(-1, 6, len(FEATURES))
+    np.testing.assert_allclose(moved[:, COLUMN], moved[:, SIDE].abs())
+    shifts = np.delete(shifts, COLUMN, axis=2)
+    np.testing.assert_allclose(shifts, np.repeat(shifts[:, :1], 6, axis=1), atol=1e-5)
+    assert shifts[:, 0].std(axis=0).min() > 0.2
+    _, zoomed = augment(crops, features, Augmentation(zoom=0.5), torch.ones(len(FEATURES)), random, sizes=sizes)
+    factors = (zoomed[:, PLACES] / features[:, PLACES]).numpy().reshape(-1, 6 * len(PLACES))
+    np.testing.assert_allclose(factors, np.repeat(factors[:, :1], factors.shape[1], axis=1), rtol=1e-4)
+    assert factors.min() < 0.8
+    assert factors.max() > 1.2
+    grown = (zoomed[:, SIZES] - features[:, SIZES]).numpy().reshape(-1, 6 * len(SIZES))
+    np.testing.assert_allclose(grown[:, 0], np.log2(factors[:, 0]) / 10, atol=1e-4)
+
+
+def test_a_recipe_that_leaves_boxes_out_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"max_negatives_per_positive: expected none where inputs\.together"):
+        changed(RECIPES["foreglow"], {"max_negatives_per_positive": 2.0})
