@@ -170,6 +170,12 @@ def test_boxes_of_a_frame_are_reflected_and_moved_together() -> None:
     np.testing.assert_allclose(grown[:, 0], np.log2(factors[:, 0]) / 10, atol=1e-4)
 
 
-def test_a_recipe_that_leaves_boxes_out_is_refused() -> None:
+def test_a_recipe_that_tells_a_network_too_little_is_refused() -> None:
+    for fields, words in (
+        ({"network": "compact"}, "false with the network compact"),
+        ({"inputs": {"together": False}}, "true with the network related"),
+    ):
+        with pytest.raises(ValueError, match=f"inputs.together: expected {words}"):
+            changed(RECIPES["foreglow"], fields)
     with pytest.raises(ValueError, match=r"max_negatives_per_positive: expected none where inputs\.together"):
         changed(RECIPES["foreglow"], {"max_negatives_per_positive": 2.0})

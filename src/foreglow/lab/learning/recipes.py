@@ -122,6 +122,9 @@ class Recipe(FrozenModel):
     def _check(self) -> Recipe:
         if self.schedule == "plateau" and self.warmup_epochs:
             raise ValueError("warmup_epochs: expected 0 with the schedule plateau")
+        if self.inputs.together != (self.network == "related"):
+            wanted = "true" if self.network == "related" else "false"
+            raise ValueError(f"inputs.together: expected {wanted} with the network {self.network}")
         if self.inputs.together and self.max_negatives_per_positive is not None:
             raise ValueError(
                 "max_negatives_per_positive: expected none where inputs.together, since all boxes are read"
@@ -152,7 +155,7 @@ RECIPES: dict[str, Recipe] = {
     "foreglow": Recipe(
         network="related",
         inputs=InputSpec(size_px=32, lag_s=0.25, num_features=len(FEATURES), context=6, together=True),
-        epochs=20,
+        epochs=12,
         batch_size=256,
         optimiser="adamw",
         learning_rate=2e-3,

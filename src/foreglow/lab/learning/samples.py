@@ -192,8 +192,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
     if len(parts) == 1:
         return parts[0]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
-    nums_sets = [int(part.sets.max(initial=-1)) + 1 for part in parts]
-    arrays["sets"] += np.repeat(np.cumsum([0, *nums_sets[:-1]]), [len(part) for part in parts]).astype(np.int32)
+    is_first = [np.isin(np.arange(len(part)), set_starts(part.sets)) for part in parts]
+    arrays["sets"] = (np.cumsum(np.concatenate(is_first)) - 1).astype(np.int32)
     has_digests = all(part.digest for part in parts)
     digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
     return Samples(**arrays, digest=digest)
