@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -307,3 +308,23 @@ def test_what_takes_other_arguments(tmp_path: Path) -> None:
     path.write_text('[tracker]\nmethod = "os:system"\n')
     line = complaint("run", shipped_drive(), "--limit", 1, "--config", path, "--out", tmp_path / "out")
     assert "tracker.method: os:system cannot be made of" in line
+
+
+def test_a_plug_in_that_raises_in_another_process_is_named(tmp_path: Path) -> None:
+    (tmp_path / "failing.py").write_text(
+        "from foreglow.tracking import make_tracker\nfrom foreglow.config import TrackerConfig\n"
+        "class Failing:\n"
+        "    def __init__(self, config): self.reset = make_tracker(TrackerConfig()).reset\n"
+        "    def reset(self): pass\n"
+        "    def update(self, *given): raise IndexError('no more')\n"
+    )
+    (tmp_path / "config.toml").write_text('[tracker]\nmethod = "failing:Failing"\n')
+    done = subprocess.run(
+        [*(sys.executable, "-m", "foreglow.cli", "run", shipped_drive()), "--config", "config.toml", "--jobs", "2"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "failing.py, line 6: the plug-in raised IndexError: no more" in done.stderr

@@ -6,11 +6,12 @@ be an entry point of an installed package. `docs/extending.md` has examples.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import pkgutil
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -22,6 +23,8 @@ MAX_WORDS = 2000
 
 METHODS = {"estimator": ("estimate", "reset"), "tracker": ("update", "reset"), "policy": ("command", "shone", "reset")}
 """What every plug-in of a kind has."""
+
+_RAISED_AT = "raised_in_plugin_at"
 
 _modules: set[str] = set()
 """The modules that were imported for a `module:Name`."""
@@ -168,13 +171,26 @@ def words_of(error: BaseException) -> str:
     return text
 
 
+@contextlib.contextmanager
+def traced() -> Iterator[None]:
+    """Errors in it keep where in a plug-in they were raised, on their way to another process without a traceback."""
+    try:
+        yield
+    except BaseException as error:
+        with contextlib.suppress(Exception):
+            setattr(error, _RAISED_AT, raising(error))
+        raise
+
+
 def raising(error: BaseException) -> str | None:
     """Where in a plug-in `error` was raised, or in what it called: its file and line; None for any other error.
 
     For a method or an attribute that the plug-in lacks, its name.
     """
     lacking = getattr(error, "obj", None)  # of an AttributeError
-    found = name_of(lacking) if type(lacking).__module__ in _modules else None
+    found: str | None = getattr(error, _RAISED_AT, None)
+    if type(lacking).__module__ in _modules:
+        found = name_of(lacking)
     for frame, line in traceback.walk_tb(error.__traceback__):
         module = str(frame.f_globals.get("__name__"))
         if any(module == name or module.startswith(f"{name}.") for name in _modules):

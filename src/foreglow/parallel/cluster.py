@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.parallel.pool import Item, ProgressCallback, Result, Work, given_up, schedule
+from foreglow.plugins import traced
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -211,5 +212,5 @@ def _call(work: Work[Item, Result], item: Item, order: _Order) -> Result:
             raise FileNotFoundError(
                 f"{path}: no such file or folder at {where}: expected the same files at the same paths on every machine"
             )
-    with contextlib.chdir(order.folder):
+    with contextlib.chdir(order.folder), traced():
         return work(item, _Scheduler(worker, order))

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.parallel.pool import Item, LostProcessError, Parent, ProgressCallback, Result, Work, schedule
+from foreglow.plugins import traced
 
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 """Environment of the processes: with one process per core, several threads in each only slow each other down."""
@@ -193,4 +194,5 @@ def _join(connection: Connection) -> None:
 
 
 def _call(work: Work[Item, Result], item: Item) -> Result:
-    return work(item, _PARENT[0])
+    with traced():
+        return work(item, _PARENT[0])
