@@ -126,9 +126,6 @@ def count(split: PVDN, config: PipelineConfig, spots: Spots, right: set[str]) ->
     pipeline = Pipeline(config)
     for image_id in split.frame_ids:
         pipeline.reset()
-        earlier = split.earlier(image_id)
-        if earlier is not None:
-            pipeline.step(earlier)
         detections = pipeline.step(split.read(image_id)).detections
         assert detections is not None
         boxes = detections.accepted_boxes_xyxy_px

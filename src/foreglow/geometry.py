@@ -70,7 +70,8 @@ class Pose:
         position, turned = np.array(self.position_m, np.float64), np.array(self.rotation, np.float64)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise ValueError(f"Pose.position_m: expected three finite numbers, got {self.position_m!r}")
-        if turned.shape != (3, 3) or not np.allclose(turned @ turned.T, np.eye(3), atol=1e-6):
+        is_rotation = turned.shape == (3, 3) and np.allclose(turned @ turned.T, np.eye(3), atol=1e-6)
+        if not is_rotation or np.linalg.det(turned) < 0:  # not a reflection either
             raise ValueError(f"Pose.rotation: expected a rotation of shape (3, 3), got {self.rotation!r}")
         for name, array in (("position_m", position), ("rotation", turned)):
             array.flags.writeable = False

@@ -118,6 +118,24 @@ def test_a_reused_buffer_does_not_change_the_past() -> None:
     np.testing.assert_array_equal(second.crops[:, 1], first.crops[:, 0])
 
 
+def test_a_frame_may_bring_its_earlier_image() -> None:
+    maker = InputMaker(LAG)
+    maker.make(frame(3, -5.0), BOX)
+    brought = maker.make(Frame(image(1), 250_000_000, earlier=frame(0, 0.0)), BOX)
+    seen = InputMaker(LAG)
+    seen.make(frame(0, 0.0), NOTHING)
+    np.testing.assert_array_equal(brought.crops, seen.make(frame(1, 0.25), BOX).crops)
+    again = InputMaker(LAG)
+    for number in range(3):  # one that is older than what was seen changes nothing
+        again.make(frame(number, 0.1 * number), NOTHING)
+    plain = again.make(frame(4, 0.3), BOX)
+    other = InputMaker(LAG)
+    for number in range(3):
+        other.make(frame(number, 0.1 * number), NOTHING)
+    found = other.make(Frame(image(4), 300_000_000, earlier=frame(9, 0.05)), BOX)
+    np.testing.assert_array_equal(found.crops, plain.crops)
+
+
 def test_frames_without_proposals_are_remembered() -> None:
     maker = InputMaker(LAG)
     inputs = maker.make(frame(0, 0.0), NOTHING)

@@ -118,6 +118,9 @@ class InputMaker:
     def make(self, frame: Frame, proposals: Proposals) -> ClassifierInputs:
         """The inputs for `proposals`, boxes of `frame`; if time goes back, earlier frames are forgotten."""
         spec, image = self.spec, _with_adjacent_columns(frame.image)
+        if frame.earlier is not None and (not self._earlier or frame.earlier.timestamp_ns > self._earlier[-1][0]):
+            self._seen_before(frame.earlier)  # forgets what does not go with it
+            self._remember(frame.earlier)
         earlier = self._seen_before(frame)
         boxes = np.ascontiguousarray(proposals.boxes_xyxy_px)
         if not len(boxes):

@@ -117,10 +117,12 @@ class Frame(Value):
         road: The road ahead by a map or a street message; None without either.
         is_damaged: Whether the source knows that the image is damaged, such as by a decoder that lost packets.
         is_reported: Whether the car's production system, if it has one, reports a vehicle; None where unknown.
+        earlier: The image from shortly before that the source keeps beside this one, as data sets of single images do;
+            None without one.
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the camera is for
-            images of another size, or the time is no whole number of 64 bits.
+            images of another size, the time is no whole number of 64 bits, or the earlier image is not earlier.
     """
 
     image: Image
@@ -133,6 +135,7 @@ class Frame(Value):
     road: RoadAhead | None = None
     is_damaged: bool = False
     is_reported: bool | None = None
+    earlier: Frame | None = None
 
     def __post_init__(self) -> None:
         origin = f"{self.path}: " if self.path else ""
@@ -160,6 +163,11 @@ class Frame(Value):
             )
         object.__setattr__(self, "timestamp_ns", int(self.timestamp_ns))
         object.__setattr__(self, "image", frozen_view(self.image))
+        if self.earlier is not None and self.earlier.timestamp_ns >= self.timestamp_ns:
+            raise ValueError(
+                f"{origin}Frame.earlier: expected an image from before {self.timestamp_ns} ns, got one from "
+                f"{self.earlier.timestamp_ns} ns"
+            )
 
     @property
     def width_px(self) -> int:

@@ -263,8 +263,7 @@ def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: P
     np.testing.assert_array_equal(copied.image, before.image)
     maker = InputMaker(InputSpec(size_px=8, lag_s=0.25, num_features=7))
     boxes = Proposals(np.array([[10, 10, 30, 30]], np.int32))
-    maker.make(before, Proposals(np.zeros((0, 4), np.int32)))
-    assert maker.make(now, boxes).features[0, 6] == 1
+    assert maker.make(now, boxes).features[0, 6] == 1  # whoever reads an image has the earlier one
     Path(before.path).unlink()
     with pytest.raises(FileNotFoundError, match=r"000010_earlier\.png: no such image, expected that before id 10"):
-        own.earlier(10)
+        own.read(10)

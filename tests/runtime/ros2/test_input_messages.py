@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 pytest.importorskip("rclpy")
 
 from foreglow.calibration import Mount
-from foreglow.geometry import Camera, Pose
+from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.runtime.ros2.header import Header, header_message, read_header
 from foreglow.runtime.ros2.input_messages import (
     attitude_message,
@@ -164,6 +164,22 @@ def test_a_mount_is_on_a_vehicle() -> None:
     message = mount_message(HEADER, Pose(np.array([2.0, 0.0, 1e6]), np.eye(3)))
     with pytest.raises(ValueError, match=r"mount: position_m\.2: .*10"):
         read_mount(message, "mount")
+
+
+@pytest.mark.parametrize(
+    ("turned", "expected"),
+    [
+        (np.diag([1.0, -1.0, 1.0]), r"Pose\.rotation: expected a rotation"),
+        (rotation(yaw_rad=math.radians(60.0)), "yaw_deg: Input should be less than or equal to 45"),
+        (rotation(pitch_rad=math.radians(-60.0)), "pitch_deg: Input should be greater than or equal to -45"),
+    ],
+    ids=["mirrored", "yaw", "pitch"],
+)
+def test_a_mount_looks_ahead_and_is_not_mirrored(turned: Floats, expected: str) -> None:
+    pose = Pose(np.array([2.0, 0.0, 1.3]), np.eye(3))
+    object.__setattr__(pose, "rotation", turned)
+    with pytest.raises(ValueError, match=f"mount: {expected}"):
+        read_mount(mount_message(HEADER, pose), "mount")
 
 
 def test_no_mount_is_no_rotation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Collection, Iterator
@@ -145,7 +146,9 @@ class PVDN(LabelledSource):
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`."""
         self._check_exists(image_id)
-        return equip(self._frame(image_id, self.image_path(image_id), 0.0), self._vehicle)
+        frame = equip(self._frame(image_id, self.image_path(image_id), 0.0), self._vehicle)
+        earlier = self.earlier(image_id)
+        return frame if earlier is None else dataclasses.replace(frame, earlier=earlier)
 
     def earlier(self, image_id: int) -> Frame | None:
         """As in `LabelledSource`; its number is that of the image that it belongs to."""

@@ -23,7 +23,6 @@ from foreglow.proposals import make_proposer
 from foreglow.types import KINDS, Boxes, Frame, Proposals
 
 NO_GROUP = -1
-NO_PROPOSALS = Proposals(np.zeros((0, 4), np.int32))
 NUM_KINDS = len(KINDS)
 
 
@@ -221,10 +220,6 @@ def samples_by_image(
             sequence_id = dataset.sequence(image_id).id
             for maker in makers:
                 maker.reset()
-        earlier = dataset.earlier(image_id)
-        if earlier is not None:
-            for maker in makers:
-                maker.make(earlier, NO_PROPOSALS)
         frame = dataset.read(image_id)
         boxes = proposer.propose(frame.image).boxes_xyxy_px
         strongest = strongest_lights(boxes, lights[image_id])

@@ -28,7 +28,7 @@ from foreglow.calibration.ros import distortion_of
 from foreglow.calibration.values import HALF_PIXEL_PX, Mount
 from foreglow.config import validated
 from foreglow.datasets.images import check_size, to_grey
-from foreglow.geometry import Camera, Pose
+from foreglow.geometry import Camera, Pose, rotation_angles_rad
 from foreglow.runtime.ros2.header import Header, byte_array, header_message
 from foreglow.runtime.ros2.table import Field, read_table, table_message
 from foreglow.types import EgoMotion, RoadAhead
@@ -156,12 +156,16 @@ def mount_message(header: Header, mount: Pose) -> PointCloud2:
 def read_mount(message: PointCloud2, topic: str) -> Pose:
     """The camera's pose in the vehicle."""
     _, columns = read_table(message, topic, MOUNT, num_rows=1)
+    position_m = columns["position_m"][0].tolist()
     level = dict.fromkeys(("yaw_deg", "pitch_deg", "roll_deg"), 0.0)
-    validated(Mount, {"position_m": columns["position_m"][0].tolist(), **level}, topic)  # its rotation is checked below
+    validated(Mount, {"position_m": position_m, **level}, topic)
     try:
-        return Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
+        pose = Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
     except ValueError as error:
         raise ValueError(f"{topic}: {error}") from None
+    angles = np.degrees(rotation_angles_rad(pose.rotation)).tolist()
+    validated(Mount, {"position_m": position_m, **dict(zip(level, angles, strict=True))}, topic)
+    return pose
 
 
 def damage_message(header: Header, is_damaged: bool) -> PointCloud2:
