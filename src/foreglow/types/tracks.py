@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -47,7 +48,8 @@ class Tracks(Value):
 
     Raises:
         ValueError: If a shape or a dtype is wrong, ids do not ascend, a box is not in order or not finite, a range is
-            not positive, a standard deviation is negative or NaN, or kinds do not sum to 1.
+            not positive, a standard deviation is negative or NaN, kinds do not sum to 1, or another value is outside
+            its limits.
     """
 
     ids: NDArray[np.int64]
@@ -87,6 +89,10 @@ class Tracks(Value):
             raise ValueError("Tracks.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
         if not (self.sigmas_m >= 0).all():
             raise ValueError("Tracks.sigmas_m: expected numbers of at least 0, got NaN or a negative")
+        for name, least, most in _LIMITS:
+            values = getattr(self, name)
+            if count and not (values.min() >= least and values.max() <= most):
+                raise ValueError(f"Tracks.{name}: expected numbers from {least:g} to {most:g}, got {values.tolist()}")
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -121,3 +127,10 @@ _TRACK_DTYPES: Mapping[str, type[np.generic]] = MappingProxyType(
         "detections": np.int64,
     }
 )
+
+_LIMITS = (
+    ("states", min(TrackState), max(TrackState)),
+    ("confidences", 0.0, 1.0),
+    ("ages_s", 0.0, sys.float_info.max),
+)
+"""Least and greatest values, by field."""
