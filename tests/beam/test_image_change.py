@@ -12,7 +12,20 @@ import foreglow._native as _native
 from foreglow.beam.image_change import ImageComparer
 from tests.beam.image_change_reference import reference_change
 
-SIZES = [(1, 1), (1, 40), (40, 1), (7, 9), (8, 8), (9, 17), (16, 16), (17, 33), (64, 48), (97, 131), (250, 300)]
+SIZES = [
+    (1, 1),
+    (1, 40),
+    (40, 1),
+    (7, 9),
+    (8, 8),
+    (9, 17),
+    (16, 16),
+    (17, 33),
+    (64, 48),
+    (97, 131),
+    (250, 300),
+    (50, 700),
+]
 
 
 def images(shape: tuple[int, int], dtype: Any, seed: int) -> list[Any]:
