@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.timing import CONSOLE, RESULTS, table
-from foreglow.files import write_atomic
 from foreglow.lab.simulation.camera.imager import ElectronImager
 from foreglow.lab.simulation.camera.optics import LampPoints
 from foreglow.lab.simulation.camera.profile import read_profile
@@ -34,6 +33,7 @@ from foreglow.lab.simulation.camera.view import View
 from foreglow.lab.simulation.camera.windscreen import Windscreen
 from foreglow.lab.simulation.drive import camera_of
 from foreglow.lab.simulation.scenes.scene import CameraSpec, SensorSpec
+from foreglow.whole_files import write_atomic
 
 EDGES_DEG = np.array([0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 7.0, 10.0])
 SKY_DEG = (25.0, 155.0)

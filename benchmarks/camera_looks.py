@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import CONSOLE, RESULTS, table
 from foreglow.datasets import open_source
-from foreglow.files import write_atomic
+from foreglow.whole_files import write_atomic
 
 NUM_FRAMES = 12
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99, 99.9)

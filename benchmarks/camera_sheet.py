@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.camera_looks import NUM_FRAMES, frames_of
 from benchmarks.timing import CONSOLE, RESULTS
-from foreglow.files import write_atomic
+from foreglow.whole_files import write_atomic
 
 PAIRS_PER_ROW = 2
 BORDER_PX = 10

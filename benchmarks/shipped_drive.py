@@ -18,8 +18,8 @@ import cv2
 import foreglow
 from foreglow.datasets import read_image
 from foreglow.display.progress import SceneProgress
-from foreglow.files import write_atomic
 from foreglow.lab.simulation import DatasetConfig, drive_frames, read_scene, simulate_dataset
+from foreglow.whole_files import write_atomic
 
 FOLDER = Path(foreglow.__file__).parent / "shipped_drives" / "curve"
 LOSSLESS = Path("bench_output") / "shipped_drive"

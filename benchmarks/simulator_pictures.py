@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.display.tone import Tone
-from foreglow.files import write_atomic
 from foreglow.lab.simulation import SCENARIOS, DriveFrame, Scene, adapted, drive_exposures, drive_frames, scenario
 from foreglow.lab.simulation.camera.profile import PROFILES, read_profile
 from foreglow.lab.simulation.preview import labelled
+from foreglow.whole_files import write_atomic
 
 SEED = 0
 SIZE_PX = (1280, 960)

@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from foreglow.files import write_atomic
 from foreglow.lab.simulation import adapted, drive_frames, scenario
+from foreglow.whole_files import write_atomic
 
 PICTURES = {
     "motorway": ("motorway", 6, 5.0),

@@ -20,20 +20,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from foreglow.files import (
-    MAX_LOCKS,
-    atomic_path,
-    fields_to_json,
-    json_text,
-    make_folder,
-    naming,
-    open_atomic,
-    read_text,
-    to_json,
-    together,
-    write_atomic,
-    write_json_results,
-)
+from foreglow.files import fields_to_json, json_text, read_text, to_json, write_json_results
+from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:

@@ -18,12 +18,13 @@ SOURCE = Path(foreglow.__file__).parent
 
 VALUES = {"types", "geometry", "config", "photometry", "rays", "street"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
-BASES = {"files", "provenance", "parallel", "plugins", "stopwatch"}
+BASES = {"files", "whole_files", "provenance", "parallel", "plugins", "stopwatch"}
 CAR = VALUES | STAGES | BASES | {"calibration", "maps", "_native", "pipeline", "datasets", "runs", "runtime", "display"}
 LAB = {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports", "lab.studies"}
 
 ALLOWED: dict[str, set[str]] = {
-    "files": set(),
+    "whole_files": set(),
+    "files": {"whole_files"},
     "provenance": set(),
     "parallel": set(),
     "plugins": set(),
@@ -42,10 +43,10 @@ ALLOWED: dict[str, set[str]] = {
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
     "classifier": VALUES | {"models", "_native", "files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
-    "datasets": VALUES | {"calibration", "maps", "files", "protobuf"},
-    "runs": VALUES | {"calibration", "files", "outputs", "provenance", "datasets"},
+    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "protobuf"},
+    "runs": VALUES | {"calibration", "files", "whole_files", "outputs", "provenance", "datasets"},
     "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "outputs", "pipeline", "datasets", "runs"},
-    "display": VALUES | {"files", "datasets", "runs", "runtime"},
+    "display": VALUES | {"files", "whole_files", "datasets", "runs", "runtime"},
     "outputs": {"files", "datasets"},
     "inputs": {"files", "outputs"},
     "options": {"config", "beam", "datasets", "files", "inputs", "outputs", "parallel"},

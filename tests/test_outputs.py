@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.files import open_atomic
 from foreglow.outputs import FolderLock, check_outputs, locked, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
+from foreglow.whole_files import open_atomic
 from tests.cli.commands import PNG, complaint, foreglow_command, names
 from tests.stand_ins import REFERENCE
 

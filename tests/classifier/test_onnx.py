@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -230,6 +231,16 @@ def test_missing_and_unset_model(tmp_path: Path) -> None:
         OnnxClassifier(ClassifierConfig(model=tmp_path / "none.onnx"))
     with pytest.raises(ValueError, match=r"classifier\.model: expected the path"):
         OnnxClassifier(ClassifierConfig())
+
+
+def test_a_folder_in_place_of_a_model(tmp_path: Path) -> None:
+    expected = f"^{re.escape(str(tmp_path))}: expected an ONNX file such as "
+    with pytest.raises(IsADirectoryError, match=expected + "model.onnx of a training, got a folder"):
+        OnnxClassifier(ClassifierConfig(model=tmp_path))
+    model = tmp_path / "model.onnx"
+    model.touch()
+    with pytest.raises(IsADirectoryError, match=f"{expected}{re.escape(str(model))}, got a folder"):
+        OnnxClassifier(ClassifierConfig(model=tmp_path))
 
 
 @pytest.mark.parametrize("content", [b"", b"this is not a model", bytes(100)])

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.metadata
 import json
 import os
 import sys
+import tempfile
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -15,6 +18,7 @@ import numpy as np
 import pytest
 
 from foreglow.cli import errors
+from foreglow.datasets import open_source
 from tests.cli.commands import PNG, foreglow_command
 
 
@@ -34,6 +38,34 @@ def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert len(result.stderr.splitlines()) == 1
     assert "not foreseen" in report.read_text(encoding="utf-8")
     assert "Traceback" in report.read_text(encoding="utf-8")
+
+
+@contextlib.contextmanager
+def as_nobody() -> Iterator[None]:
+    """Root may enter every folder."""
+    is_root = os.geteuid() == 0
+    if is_root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if is_root:
+            os.seteuid(0)
+
+
+def test_a_folder_that_may_not_be_entered_is_named() -> None:
+    with tempfile.TemporaryDirectory() as parent:
+        folder = Path(parent) / "images"
+        folder.mkdir()
+        (folder / "000001.png").write_bytes(PNG)
+        Path(parent).chmod(0o755)
+        folder.chmod(0o444)
+        with as_nobody(), pytest.raises(PermissionError) as caught:
+            open_source(folder)
+        with as_nobody():
+            line, code = errors.one_line(caught.value, [folder])
+        folder.chmod(0o755)
+    assert (line, code) == (f"{folder}: expected a folder that may be entered, the right to (x) is missing", 2)
 
 
 def test_a_fault_of_ours_where_the_package_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -295,6 +296,24 @@ def test_predictions_for_another_split(tmp_path: Path, split: Path) -> None:
     predictions = tmp_path / "predictions.json"
     predictions.write_text('{"77": {"boxes": [[1, 1, 5, 5]], "scores": [0.9]}}')
     assert "expected boxes in images of" in complaint("evaluate", split, "--predictions", predictions)
+
+
+def test_a_run_on_another_split_that_has_the_same_names(tmp_path: Path, split: Path, config: Path) -> None:
+    run, other = tmp_path / "run", tmp_path / "PVDN" / "day" / "test"
+    assert foreglow_command("run", split, "--out", run, "--config", config).exit_code == 0
+    shutil.copytree(split, other)
+    cv2.imwrite(str(other / "images" / "S00001" / "000002.png"), night_image(7))
+    commands = (
+        ("evaluate", other, "--predictions", run / "frames.jsonl"),
+        ("export-mot", run, other, "--out", run / "mot"),
+    )
+    for command in commands:
+        assert complaint(*command).startswith(
+            f"foreglow: {other}: expected the labels of what {run} was made from, {split}"
+        )
+    for same in (split, shutil.copytree(split, tmp_path / "moved"), split / "images" / "S00001"):
+        result = foreglow_command("evaluate", same, "--predictions", run / "frames.jsonl")
+        assert result.exit_code == 0, result.output
 
 
 def test_a_byte_order_mark_is_no_content(split: Path, predictions: Path) -> None:

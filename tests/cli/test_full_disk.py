@@ -12,7 +12,7 @@ from typing import BinaryIO
 
 import pytest
 
-from foreglow import files
+from foreglow import whole_files
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import foreglow_command
 
@@ -50,7 +50,7 @@ def test_all_or_nothing(
     for out in (whole, full):
         out.mkdir()
     num_written, limit = 0, 10_000
-    opened = files.open_atomic
+    opened = whole_files.open_atomic
 
     @contextlib.contextmanager
     def open_counted(path: Path) -> Iterator[BinaryIO]:
@@ -61,7 +61,7 @@ def test_all_or_nothing(
             if num_written == limit:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(files, "open_atomic", open_counted)
+    monkeypatch.setattr(whole_files, "open_atomic", open_counted)
     result = foreglow_command(*command(run, whole))
     assert result.exit_code == 0, result.output
     assert num_written > 1

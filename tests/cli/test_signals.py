@@ -206,6 +206,43 @@ def test_a_forked_process_ends_by_itself() -> None:
     assert ended(code, signal.SIGINT) == (0, "")
 
 
+ENDS = {
+    "while it leaves the command": ("import foreglow.cli; foreglow.cli.end_despite_hanging = raise_it", 130),
+    "in an exit function": ("import atexit, foreglow.cli; atexit.register(raise_it)", 130),
+    "while a thread is waited for": ("import threading; threading.Thread(target=late, args=(raise_it,)).start()", 130),
+    "while modules are cleared": ("kept = Late(raise_it)", 0),
+}
+LATE = """
+class Late:
+    def __init__(self, raise_it):
+        self.raise_it = raise_it
+
+    def __del__(self):
+        self.raise_it()
+
+
+def raise_it(*_, kill=os.kill, own=os.getpid(), number=NUMBER):
+    kill(own, number)
+
+
+def late(raise_it):
+    import threading
+
+    threading.main_thread().join()
+    raise_it()
+"""
+
+
+@pytest.mark.parametrize("moment", ENDS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_at_the_very_end_of_a_command(moment: str, number: signal.Signals) -> None:
+    begin, code = ENDS[moment]
+    program = f"import os\n{LATE.replace('NUMBER', str(int(number)))}\n{begin}\n{MAIN}"
+    done = subprocess.run([sys.executable, "-c", program, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, "")
+    assert done.stdout.startswith("foreglow ")
+
+
 def test_a_ros_2_node_that_is_interrupted_says_so() -> None:
     code = """
     import types
@@ -230,9 +267,9 @@ def test_a_ros_2_node_that_is_interrupted_says_so() -> None:
 
 HALF_WRITTEN = """
 import contextlib
-from foreglow import files
+from foreglow import whole_files
 
-whole = files.open_atomic
+whole = whole_files.open_atomic
 
 
 @contextlib.contextmanager
@@ -245,7 +282,7 @@ def waiting(path):
         yield file
 
 
-files.open_atomic = waiting
+whole_files.open_atomic = waiting
 """
 
 

@@ -181,7 +181,7 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "best"), "preset: expected one of"),
-        (("--preview", "curve", "--camera", "phone"), "--camera: expected with --out and without --preview"),
+        (("--preview", "mine", "--scene", "a.toml", "--scene", "b.toml"), "--preview: expected one --scene, got 2"),
     ],
 )
 def test_bad_arguments(
@@ -189,6 +189,33 @@ def test_bad_arguments(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert expected in complaint("simulate", *arguments)
+
+
+@pytest.mark.parametrize(
+    ("unused", "beside"),
+    [
+        (("--cycle", "night"), ("--camera", "pvdn_day")),
+        (("--scenes", 3), ("--scene", "mine.toml")),
+        (("--mixture", "pvdn"), ("--scene", "mine.toml")),
+        (("--seed", 7), ("--scene", "mine.toml")),
+        (("--camera", "phone"), ("--preview", "curve")),
+        (("--split", "val"), ("--preview", "curve")),
+        (("--pairs", 0.25), ("--preview", "curve")),
+        (("--jobs", 2), ("--preview", "curve")),
+        (("--size", "640x480"), ("--print", "curve")),
+        (("--preview", "curve"), ("--print", "curve")),
+        (("--out", "unused"), ("--print-camera", "phone")),
+        (("--empty",), ("--print-camera", "phone")),
+    ],
+)
+def test_an_option_that_has_no_effect_is_refused(
+    unused: tuple[str, ...], beside: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").touch()
+    out = () if {"--out", "--preview", "--print", "--print-camera"} & {*unused, *beside} else ("--out", "unused")
+    said = complaint("simulate", *unused, *beside, *out)
+    assert said == f"foreglow: {unused[0]}: expected without {beside[0]}, beside which it has no effect\n"
 
 
 def test_a_printed_profile_is_a_profile_of_ones_own(tmp_path: Path) -> None:

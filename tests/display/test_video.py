@@ -146,6 +146,7 @@ for limit in [*range(0, 20_000, 300), *range(20_000, 200_000, 20_000), 5_000_000
         print("whole", limit)
     for _ in range(2):
         sink.discard()
+    assert not [each for each in Path("/proc/self/fd").glob("*") if each.resolve() == path.resolve()], limit
 """
 """Writes a film under many limits of a file's size; pictures wait in the sink when the first one fails."""
 

@@ -42,8 +42,12 @@ def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = 
 
     Raises:
         FileNotFoundError: If there is no such file.
+        IsADirectoryError: If it is a folder, such as that of a training.
         ValueError: If it is not an ONNX model that can be run, or is beyond a bound; or if there is no such device.
     """
+    if path.is_dir():
+        within = f"{path / 'model.onnx'}" if (path / "model.onnx").is_file() else "model.onnx of a training"
+        raise IsADirectoryError(f"{path}: expected an ONNX file such as {within}, got a folder")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such model file")
     _check_operations(path)

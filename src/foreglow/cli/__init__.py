@@ -4,10 +4,16 @@ Exit codes: 0 done, 2 bad input or arguments, 70 a fault of this program, 130 in
 imported when it runs, so that the help is there at once.
 """
 
-import signal
 import sys
 
-from foreglow.cli.signals import check_environment, end_despite_hanging, fill_standard_streams, interruptible
+from foreglow.cli.signals import (
+    INTERRUPTED,
+    check_environment,
+    end_at_once,
+    end_despite_hanging,
+    fill_standard_streams,
+    interruptible,
+)
 
 with interruptible():
     fill_standard_streams()
@@ -25,12 +31,17 @@ def main() -> None:
     """Runs the command line."""
     try:
         with interruptible():
-            app()
+            try:
+                app()
+            finally:
+                end_at_once()
     except (MemoryError, SystemError):  # before the command has begun; Python's own code then raises the second, too
         sys.stderr.write("foreglow: not enough memory to begin\n")
         sys.exit(2)
     except SystemExit as ending:
         end_despite_hanging(ending.code)
         raise
-    finally:  # Ctrl-C while the interpreter ends prints no traceback
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    except KeyboardInterrupt:  # a second one, while the first is answered
+        sys.exit(INTERRUPTED)
+    finally:
+        end_at_once()

@@ -97,7 +97,7 @@ def convert(
     from foreglow.calibration import ImageChoice, Mount, calibration_to_toml, read_intrinsics
     from foreglow.config import validated
     from foreglow.display.calibration_check import warnings_of
-    from foreglow.files import write_atomic
+    from foreglow.whole_files import write_atomic
 
     position_m = (mount_forward, mount_left, mount_height)
     angles = {"yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "roll_deg": roll_deg}

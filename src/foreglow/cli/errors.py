@@ -10,6 +10,7 @@ import contextlib
 import errno
 import logging
 import math
+import os
 import platform
 import re
 import sys
@@ -194,6 +195,9 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return f"{broken} is installed, but cannot be loaded: {shortened(words_of(error), 400)}", 2
     if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
         return "the working directory is there no more", 2
+    closed = _closed_folder(error)
+    if closed is not None:
+        return shortened(f"{closed}: expected a folder that may be entered, the right to (x) is missing"), 2
     if isinstance(error, OSError) and error.filename is not None:
         return shortened(f"{error.filename}: {error.strerror}"), 2
     if isinstance(error, OSError) and _is_printing(error):
@@ -265,6 +269,16 @@ def _is_printing(error: OSError) -> bool:
         return False
     modules = [str(frame.f_globals.get("__name__", "")) for frame, _ in traceback.walk_tb(error.__traceback__)]
     return modules[-1:] != [] and modules[-1].partition(".")[0] in PRINTERS
+
+
+def _closed_folder(error: BaseException) -> Path | None:
+    """The folder, of those that lead to the file of an error, that may not be entered; None if all may."""
+    if not isinstance(error, PermissionError) or not isinstance(error.filename, str):
+        return None
+    for folder in reversed(Path(error.filename).absolute().parents):
+        if not os.access(folder, os.X_OK, effective_ids=os.access in os.supports_effective_ids):
+            return Path(os.path.relpath(folder)) if not Path(error.filename).is_absolute() else folder
+    return None
 
 
 def _is_part_of(path: Path, inputs: Sequence[Path]) -> bool:

@@ -63,8 +63,9 @@ def evaluate(
 
     import rich
 
-    from foreglow.files import to_json, together, write_json_results
+    from foreglow.files import to_json, write_json_results
     from foreglow.lab.reports.evaluation_page import examination_lines, write_report
+    from foreglow.whole_files import together
 
     workers = work.workers()
     configuration = _configuration(pipeline, predictions, threshold)
@@ -128,6 +129,7 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
     from foreglow.runs.frames_file import has_tracks, read_tracks
+    from foreglow.runs.recorded_run import check_labels
 
     dataset = open_labelled(split)
     found, labels = read_predictions(predictions), read_split_labels(dataset, with_shares=True)
@@ -136,6 +138,8 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
         raise ValueError(
             f"{predictions}: expected boxes in images of {split}, got those of others, such as {min(images)}"
         )
+    if predictions.name == "frames.jsonl":
+        check_labels(predictions.parent, split)
     examination = examine(labels, found, threshold, str(predictions))
     if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(images)):
         examination = dataclasses.replace(examination, is_complete=False)

@@ -26,10 +26,12 @@ def export_mot(
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import mot, read_predictions
     from foreglow.runs.frames_file import read_tracks
+    from foreglow.runs.recorded_run import check_labels
 
     if score:
         importlib.import_module("trackeval")  # fails before anything is written
     results = run / "frames.jsonl"
+    check_labels(run, split)
     proposals, tracks = read_predictions(results), read_tracks(results)
     mot.export_mot(open_labelled(split), proposals, tracks, out, name, origin=str(results))
     if score:

@@ -36,7 +36,7 @@ def write_calibration(found: DriveCalibration, path: Path, picture: Path) -> Non
     """Writes the calibration as TOML, and a picture of horizon, vanishing point, grid and mask."""
     from foreglow.calibration import calibration_to_toml
     from foreglow.display.calibration_check import write_check
-    from foreglow.files import together, write_atomic
+    from foreglow.whole_files import together, write_atomic
 
     with together():
         write_check(picture, found.camera, found.frame.image, found.frame.path, found.mask)
@@ -67,7 +67,7 @@ def calibrated(
     source: Path, out: Path, reading: SourceOptions, vehicle: VehicleOptions, lens: LensOptions
 ) -> VehicleOptions:
     """`vehicle` with a calibration that `source` shows; it lies in `out`, with its picture."""
-    from foreglow.files import naming
+    from foreglow.whole_files import naming
 
     folder = out / "calibration"
     found = calibrate_source(source, dataclasses.replace(reading, limit=None), lens)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import io
 import os
@@ -18,6 +19,9 @@ PATIENCE_S = 2.0
 INTERRUPTED = 130
 """Exit code of shells for a program that was interrupted."""
 
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, the signal that `kill` and job schedulers send, and that of a terminal that closes."""
+
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
@@ -31,7 +35,7 @@ def interruptible() -> Iterator[None]:
             handler = _Handler()
             for number in (signal.SIGTERM, signal.SIGHUP):
                 if signal.getsignal(number) is signal.SIG_DFL:
-                    restoring.callback(signal.signal, number, signal.SIG_DFL)
+                    restoring.callback(_restore, number, handler)
                     signal.signal(number, handler)
         try:
             yield
@@ -39,6 +43,40 @@ def interruptible() -> Iterator[None]:
             with contextlib.suppress(OSError):  # a terminal that is gone
                 sys.stderr.write("foreglow: interrupted\n")
             sys.exit(INTERRUPTED)
+
+
+def _restore(number: int, handler: _Handler) -> None:
+    if signal.getsignal(number) is handler:  # not that of `end_at_once`
+        signal.signal(number, signal.SIG_DFL)
+
+
+def end_at_once() -> None:
+    """Has a signal end the process without a word and with `INTERRUPTED` from now on: a command has ended.
+
+    When the interpreter has called the exit functions, it delivers no more signals, and would die of one; none has an
+    effect then, and the exit code is that of the command. A signal that is ignored stays so.
+    """
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDINGS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, _end)
+
+
+def _end(*_: object) -> None:
+    with contextlib.suppress(OSError, ValueError, RuntimeError):  # closed, full, or just being written to
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(INTERRUPTED)
+
+
+def _end_in_peace() -> None:
+    """The last exit function."""
+    for number in ENDINGS:
+        if signal.getsignal(number) is _end:
+            signal.signal(number, signal.SIG_IGN)
+
+
+atexit.register(_end_in_peace)  # before those of other modules, which are called first
 
 
 def fill_standard_streams() -> None:

@@ -19,9 +19,21 @@ if TYPE_CHECKING:
     from foreglow.parallel import Workers
 
 
+_USED_BESIDE = {
+    "print_camera": set[str](),
+    "print_scene": {"seed", "ego_beam", "empty"},
+    "preview": {"out", "scene", "seed", "size", "cycle", "ego_beam", "empty", "fps", "quality"},
+}
+"""What each option that asks for less than a data set goes with; the first that is given counts."""
+
+_UNUSED_BESIDE = {"scene": {"num_scenes", "seed", "mixture"}, "camera": {"cycle"}}
+"""What says nothing about scenes of one's own, and about cameras, whose profiles have a cycle."""
+
+
 @app.command()
 @with_options
 def simulate(
+    context: typer.Context,
     work: WorkerOptions,
     out: Annotated[Path | None, folder("Folder for the data set, or for the preview.")] = None,
     num_scenes: Annotated[int, option("N", "Number of drives to draw.", "--scenes", min=1)] = 40,
@@ -67,6 +79,7 @@ def simulate(
     """
     from foreglow.lab import simulation
 
+    _check_unused(context)
     workers = work.workers()
     _check_quality(quality)
     if print_camera is not None:
@@ -77,8 +90,8 @@ def simulate(
         drawn = _changed((simulation.scenario(print_scene, seed),), ego_beam, empty)
         typer.echo(simulation.scene_to_toml(drawn[0]), nl=False)
     elif preview is not None:
-        if camera is not None:
-            raise ValueError("--camera: expected with --out and without --preview, whose camera is the scene's own")
+        if len(scene or ()) > 1:
+            raise ValueError(f"--preview: expected one --scene, got {len(scene or ())}")
         drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
         scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)
@@ -97,6 +110,19 @@ def simulate(
             _simulate(scenes, out, config, workers, quality)
         else:
             _expose(scenes, out, exposing, workers, quality)
+
+
+def _check_unused(context: typer.Context) -> None:
+    """ValueError if an option was given that has no effect beside another one."""
+    names = {parameter.name: parameter.opts[0] for parameter in context.command.params}
+    given = {name for name in names if (source := context.get_parameter_source(name)) and source.name != "DEFAULT"}
+    unused = {beside: given & others for beside, others in _UNUSED_BESIDE.items() if beside in given}
+    mode = next((name for name in _USED_BESIDE if name in given), None)
+    if mode is not None:
+        unused = {mode: given - _USED_BESIDE[mode] - {mode}, **unused}
+    for beside, others in unused.items():
+        for name in others:
+            raise ValueError(f"{names[name]}: expected without {names[beside]}, beside which it has no effect")
 
 
 def _check_quality(quality: str) -> None:

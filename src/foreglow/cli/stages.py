@@ -32,10 +32,10 @@ def stages(
     frame: Annotated[int, option("N", "Which frame, counted from 0; those before it are run, too.", min=0)] = 0,
 ) -> None:
     """Draw what every stage of the detector makes of one frame, and where the road ahead is in it."""
-    from foreglow.files import write_atomic
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.reports.stage_picture import stage_picture
     from foreglow.pipeline import Pipeline
+    from foreglow.whole_files import write_atomic
 
     require_matplotlib()
     if out.suffix.lower() != ".png":

@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, read_bytes, shortened, write_atomic
+from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, read_bytes, shortened
+from foreglow.whole_files import write_atomic
 
 Model = TypeVar("Model")
 

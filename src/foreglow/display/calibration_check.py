@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from foreglow.display.overlay import Colour, Measures, Picture, Rectangle, darken, overlap_px
 from foreglow.display.tone import Tone
-from foreglow.files import write_atomic
 from foreglow.geometry import Camera, Floats, MountSigmas, rotation_angles_rad
 from foreglow.types import Image
+from foreglow.whole_files import write_atomic
 
 NEAR_STEP_M, NEAR_END_M, FAR_STEP_M, FAR_END_M = 5, 50, 10, 100
 """Lines across: each 5 m up to 50 m, then each 10 m up to 100 m."""

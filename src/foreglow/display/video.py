@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import av
 import cv2
@@ -18,8 +19,11 @@ from av.video.stream import VideoStream
 
 from foreglow.display.overlay import Picture, annotate
 from foreglow.display.tone import Tone
-from foreglow.files import naming
 from foreglow.types import Frame, FrameResult
+from foreglow.whole_files import naming
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
 
 Drawing: TypeAlias = Callable[[Frame, FrameResult, Tone | None], Picture]
 """Makes the picture of a frame, such as `annotate`; the tone is None where it shall suit this frame alone."""
@@ -74,6 +78,17 @@ class FilmTimes:
         return self._latest
 
 
+class _FilmFile(io.FileIO):
+    """A file for PyAV, which would not close one of its own whose header it could not write."""
+
+    def write(self, data: Buffer) -> int:
+        """Writes all of `data`, at once, since FFmpeg reads the file as well to put the index at its front."""
+        view, done = memoryview(data), 0
+        while done < len(view):
+            done += super().write(view[done:])
+        return done
+
+
 class Movie:
     """Pictures as an MP4 file (H.264, yuv420p, even sizes), one after the other, at the times of `FilmTimes`.
 
@@ -98,6 +113,7 @@ class Movie:
         self._path = path
         self._rate = Fraction(min(max(rate_hz, MIN_FPS), MAX_FPS)).limit_denominator(1001)
         self._times = FilmTimes(float(1_000_000_000 / self._rate))
+        self._file: _FilmFile | None = None
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
         self._failure: OSError | None = None
@@ -133,14 +149,22 @@ class Movie:
             for packet in self._stream.encode(None):
                 self._container.mux(packet)
             self._container.close()
+            self._close_file()
         self._container = None
 
     def discard(self) -> None:
         """Closes the file, whatever it may hold by then."""
         if self._container is not None:
-            with contextlib.suppress(av.error.FFmpegError):
+            with contextlib.suppress(av.error.FFmpegError, OSError):
                 self._container.close()
             self._container = None
+        with contextlib.suppress(OSError):
+            self._close_file()
+
+    def _close_file(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
@@ -155,7 +179,8 @@ class Movie:
             raise self._failure from error
 
     def _open(self, picture: Picture) -> None:
-        self._container = av.open(str(self._path), "w", format="mp4", options={"movflags": "+faststart"})
+        self._file = _FilmFile(str(self._path), "w")
+        self._container = av.open(self._file, "w", format="mp4", options={"movflags": "+faststart"})
         self._stream = self._container.add_stream("libx264", rate=self._rate, options=dict(ENCODING))
         self._stream.height, self._stream.width = picture.shape[:2]
         self._stream.pix_fmt = "yuv420p"

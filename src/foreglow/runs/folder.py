@@ -10,12 +10,13 @@ from pathlib import Path
 from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.files import json_text, naming
+from foreglow.files import json_text
 from foreglow.outputs import RESULT_NAMES, RUN, FolderLock, check_own, check_replaceable, partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary_file import LiveSummary, RunSummary
 from foreglow.runs.times_file import frame_to_times
+from foreglow.whole_files import naming
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
 """The files that get a line for every frame, with the functions that make the line."""

@@ -12,8 +12,8 @@ from pydantic import ConfigDict, Field, RootModel, with_config
 
 from foreglow.datasets import json_files
 from foreglow.datasets.json_files import parse_json
-from foreglow.files import naming
 from foreglow.types import Frame, FrameResult
+from foreglow.whole_files import naming
 
 Whole: TypeAlias = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 """A whole number of 64 bits, as arrays and tables hold it."""

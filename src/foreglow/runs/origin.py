@@ -52,6 +52,15 @@ def origin_digest(path: Path) -> str | None:
     return digest.hexdigest() if images else None
 
 
+def digests_of(labelled: Path) -> set[str]:
+    """The digests of what labels at `labelled` are for: of a split, also those of its sequences, and the reverse."""
+    paths = [labelled]
+    if is_pvdn(labelled):
+        split = find_split(labelled)[0]
+        paths += [split, *(split / "images").glob("*/")]
+    return {digest for path in paths if (digest := origin_digest(path)) is not None}
+
+
 def _images_in(path: Path) -> Iterator[tuple[bytes, int]]:
     """Name and size of each image in a folder of images, or in the sequences of a split."""
     if is_pvdn(path):

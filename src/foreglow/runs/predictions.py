@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from foreglow.datasets.json_files import read_json
-from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.runs.frames_file import Box, FrameLine, FrameLineModel
 from foreglow.runs.json_lines import Whole, checked, read_lines
 from foreglow.types import LIGHT_KINDS
+from foreglow.whole_files import write_atomic
 
 
 @dataclass(frozen=True, slots=True, eq=False)

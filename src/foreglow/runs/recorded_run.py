@@ -16,14 +16,14 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
-from foreglow.files import atomic_path, write_atomic
 from foreglow.outputs import RESULT_NAMES, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
-from foreglow.runs.origin import origin_digest
+from foreglow.runs.origin import digests_of, origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import Frame, FrameResult, TrackState
+from foreglow.whole_files import atomic_path, write_atomic
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -256,6 +256,21 @@ def doubt_about_source(run: Path, source: Path) -> str | None:
         return None
     is_named_so = source.absolute().name == Path(summary.source).name
     return None if is_named_so else f"{source}: taken for what {run} was made from, which was {summary.source}"
+
+
+def check_labels(run: Path, labelled: Path) -> None:
+    """Checks that labels are for what the run in `run` was made from, or a part of it, or more; as far as it says so.
+
+    Raises:
+        ValueError: If they are for other images, or the run's summary is broken.
+    """
+    path = run / "summary.json"
+    summary = read_summary(path) if path.is_file() else None
+    if summary is None or summary.source_digest is None:
+        return
+    digests = digests_of(labelled)
+    if digests and summary.source_digest not in digests:
+        raise ValueError(f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others")
 
 
 def source_of_run(run: Path) -> Path:

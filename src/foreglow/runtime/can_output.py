@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.datasets.vehicle_logs.can_writing import keep_times
-from foreglow.files import AtomicFile, naming
 from foreglow.plugins import words_of
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
+from foreglow.whole_files import AtomicFile, naming
 
 if TYPE_CHECKING:
     import can

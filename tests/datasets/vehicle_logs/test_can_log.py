@@ -54,6 +54,14 @@ def test_a_drive_comes_back(tmp_path: Path, drive: list[tuple[int, StreetMessage
         assert np.isnan(back.pitch_rad)
 
 
+@pytest.mark.parametrize("suffix", [".asc", ".log"])
+def test_a_byte_order_mark_is_no_content(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"drive{suffix}"
+    write_can_log(path, [(TENTH, message())])
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert read_can_log(path).street(TENTH) == message()
+
+
 @pytest.mark.parametrize("suffix", [".blf", ".log"])
 def test_times_since_1970(tmp_path: Path, suffix: str) -> None:
     path, begin_ns = tmp_path / f"drive{suffix}", 1_700_000_000_123_456_000

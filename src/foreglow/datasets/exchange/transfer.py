@@ -17,8 +17,8 @@ from foreglow.datasets.pvdn.schema import ImageCategory, Sequence, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
 from foreglow.datasets.source import FrameSource
 from foreglow.datasets.video import Video
-from foreglow.files import write_atomic
 from foreglow.types import Frame
+from foreglow.whole_files import write_atomic
 
 _OWN = {"id", "directory", "image_ids", "num_images"}
 """Fields of a sequence that its images say."""

@@ -29,8 +29,8 @@ from foreglow.datasets.pvdn.schema import (
     SequencesFile,
     Vehicle,
 )
-from foreglow.files import write_atomic
 from foreglow.types import Frame
+from foreglow.whole_files import write_atomic
 
 CAMERA_CONFIGURATIONS = tuple(CameraConfiguration(camera="Cam01", cycle=cycle) for cycle in Cycle)
 """The two configurations of PVDN's camera: 0 day, 1 night."""

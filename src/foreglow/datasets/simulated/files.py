@@ -35,8 +35,8 @@ from foreglow.datasets.images import png, read_image
 from foreglow.datasets.json_files import Record, read_json, read_json_lines
 from foreglow.datasets.simulated.shares import SHARES_FILE
 from foreglow.datasets.simulated.truth import FrameTruth
-from foreglow.files import write_atomic
 from foreglow.geometry import Camera, Floats
+from foreglow.whole_files import write_atomic
 
 MAX_FRAMES = 10_000
 """Images of a sequence; an image id is the sequence's number times this, plus the frame's number in the drive."""

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.files import atomic_path
 from foreglow.types import LIGHT_KINDS
+from foreglow.whole_files import atomic_path
 
 SOURCES = (*LIGHT_KINDS, "own", "fixed")
 """Other vehicles' front and rear lamps in sight, their light on something, our own light, and everything fixed: street

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
-import struct
 import threading
-import zlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from foreglow.config import read_toml, validated
+from foreglow.datasets.vehicle_logs.log_frames import CanKey, read_frames
 from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
-from foreglow.files import MIB, bounded_lines, check_file, read_text, shortened
+from foreglow.files import MIB, read_text
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 
 if TYPE_CHECKING:
-    import can
     from cantools.database.can import Database, Message
 
 STREET_STALE_S = 1.0
@@ -42,32 +39,9 @@ MAX_MESSAGE_BYTES = 4096
 MAX_MULTIPLEX_VALUES = 65_536
 """Values in all ranges of multiplexed signals of a DBC: cantools lists each."""
 
-MAX_LOG_BYTES = 1 << 32
-"""Largest log: that of hours on a busy bus."""
-
-MAX_LOG_LINE_BYTES = 1 << 16
-"""Longest line of a log in text."""
-
-MAX_LOG_FRAMES = 2_000_000
-"""Frames of interest in a log, which take half a kilobyte each: hours of motion and road."""
-
-MAX_OBJECT_BYTES = 1 << 24
-"""Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
-
-_BLF_CONTAINER = 10
-_FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
-_MIN_BLF_BYTES = 144  # of the file's header
-_OBJECT_HEAD = 16  # bytes: signature, size of the header, version, size and kind of the object
-
-LOG_SUFFIXES = (".asc", ".blf", ".log")
-"""Vector's text and binary logs, and candump's."""
-
 OWN_DBC, OWN_MAPPING = (Path(__file__).with_name(name) for name in ("street.dbc", "street.toml"))
 
 Value = TypeVar("Value")
-
-CanKey: TypeAlias = tuple[int, bool]
-"""A frame's identifier, and whether that is extended."""
 
 
 class Latest(Generic[Value]):
@@ -180,7 +154,7 @@ def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None
     """
     path = Path(path)
     decoder = CanDecoder(dbc, mapping)
-    for time_ns, key, data in sorted(_frames(path, decoder.keys), key=lambda frame: frame[0]):
+    for time_ns, key, data in sorted(read_frames(path, decoder.keys), key=lambda frame: frame[0]):
         decoder.take(time_ns, key, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
     if decoder.log.is_empty:
         raise ValueError(f"{path}: expected frames of {', '.join(decoder.message_names)}, got none")
@@ -315,148 +289,6 @@ class CanDecoder:
             self.log.add_street(time_ns, self._street_frames.message(values, time_ns))
         else:
             self.log.add_number(section, time_ns, _number(values, getattr(self._mapping, section)))
-
-
-def _frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, bytes]]:
-    import can
-
-    readers: dict[str, Any] = dict(
-        zip(LOG_SUFFIXES, (can.ASCReader, can.BLFReader, can.CanutilsLogReader), strict=True)
-    )
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
-        raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
-    check_file(path, MAX_LOG_BYTES)
-    found = []
-    if reader is can.BLFReader:
-        _check_objects(path)
-    # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
-    opened: Any = path.open("rb") if reader is can.BLFReader else _TextLog(path)
-    with opened as file:
-        for frame in _read_frames(reader, file, path):
-            key = frame.arbitration_id, bool(frame.is_extended_id)
-            if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
-                if not math.isfinite(frame.timestamp):
-                    raise ValueError(f"{_where(file, path)}: expected the time of a frame, got {frame.timestamp}")
-                found.append((round(frame.timestamp * 1e9), key, bytes(frame.data)))
-            if len(found) > MAX_LOG_FRAMES:
-                raise ValueError(f"{path}: expected at most {MAX_LOG_FRAMES} frames of interest, got more")
-    return found
-
-
-def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
-    """The frames of a log, as python-can reads them."""
-    from can.io.blf import BLFParseError
-
-    try:
-        with reader(file) as log:
-            yield from log
-    # The documentation does not say what python-can's readers raise for a broken file.
-    except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError):
-        if isinstance(file, _TextLog) and not file.is_too_long:
-            got = shortened(file.line.strip())
-            words = f"expected a frame as a CAN log of the kind {path.suffix} has it, got {got}"
-            raise ValueError(f"{_where(file, path)}: {words}") from None
-        if isinstance(file, _TextLog):
-            raise
-        raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}, it is damaged") from None
-
-
-def _where(file: Any, path: Path) -> str:
-    return f"{path}: line {file.number}" if isinstance(file, _TextLog) else str(path)
-
-
-class _TextLog(io.TextIOWrapper):
-    """The lines of a log in text.
-
-    Attributes:
-        line: The latest.
-        number: Its number, from 1 on.
-        is_too_long: Whether the line after it is.
-    """
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path.open("rb"), encoding="latin-1")
-        lines: Any = super()
-        self._lines: Iterator[str] = bounded_lines(lines, path, MAX_LOG_LINE_BYTES)
-        self.line, self.number, self.is_too_long = "", 0, False
-
-    def __next__(self) -> str:  # type: ignore[override]  # typeshed has bytes there, for all files
-        try:
-            self.line = next(self._lines)
-        except ValueError:
-            self.is_too_long = True
-            raise
-        self.number += 1
-        return self.line
-
-
-def _check_objects(path: Path) -> None:
-    """Checks that a .blf is whole, and its objects of sizes that can be; python-can (can.io.blf) takes what there is.
-
-    Raises:
-        ValueError: If it is not; the message says at which byte.
-    """
-    num_bytes = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(_FILE_HEAD)
-        if head[:4] != b"LOGG"[: len(head)]:
-            raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}, which begins with LOGG")
-        header_size, stated = struct.unpack_from("<I8xQ", head.ljust(_FILE_HEAD, b"\0"), 4)
-        if num_bytes < max(stated, _MIN_BLF_BYTES):  # one that is still written to states less
-            missing = max(stated, _MIN_BLF_BYTES) - num_bytes
-            raise ValueError(f"{path}: truncated CAN log, {missing} bytes are missing at the end")
-        _check_object(header_size, f"{path}: header")
-        file.seek(header_size)
-        rest = b""
-        while head := file.read(_OBJECT_HEAD):
-            origin = f"{path}: byte {file.tell() - len(head)}"
-            if head[:4] != b"LOBJ"[: len(head)]:
-                raise ValueError(f"{origin}: expected an object, which begins with LOBJ")
-            if len(head) < _OBJECT_HEAD:
-                raise ValueError(f"{origin}: truncated CAN log, its last object is not whole")
-            size, kind = struct.unpack_from("<II", head, 8)
-            _check_object(size, origin)
-            data = file.read(size - _OBJECT_HEAD)
-            if len(data) < size - _OBJECT_HEAD:
-                raise ValueError(f"{origin}: truncated CAN log, its last object is not whole")
-            file.seek(size % 4, 1)
-            if kind == _BLF_CONTAINER:
-                rest = _after_objects(rest + _unpacked(data, origin), origin)
-        if rest.strip(b"\0"):
-            raise ValueError(f"{path}: truncated CAN log, the last object in its last container is not whole")
-
-
-def _check_object(size: int, origin: str) -> None:
-    if not _OBJECT_HEAD <= size <= MAX_OBJECT_BYTES:
-        raise ValueError(f"{origin}: expected an object of {_OBJECT_HEAD} to {MAX_OBJECT_BYTES} bytes, got {size}")
-
-
-def _unpacked(data: bytes, origin: str) -> bytes:
-    """What is in a container."""
-    if data[:2] != b"\2\0":  # not deflated
-        return data[16:]
-    inflating = zlib.decompressobj()
-    try:
-        unpacked = inflating.decompress(data[16:], MAX_OBJECT_BYTES + 1)
-    except zlib.error:
-        raise ValueError(f"{origin}: expected a container that can be unpacked, it is damaged") from None
-    _check_object(max(len(unpacked), _OBJECT_HEAD), f"{origin}: unpacked")
-    if not inflating.eof:
-        raise ValueError(f"{origin}: expected a container that can be unpacked, its end is missing")
-    return unpacked
-
-
-def _after_objects(data: bytes, origin: str) -> bytes:
-    """What follows the whole objects in `data`: the beginning of one that goes on in the next container."""
-    position = 0
-    while 0 <= (begin := data.find(b"LOBJ", position, position + 8)) <= len(data) - _OBJECT_HEAD:
-        (size,) = struct.unpack_from("<I", data, begin + 8)
-        _check_object(size, f"{origin}: object {begin} bytes into the container")
-        if begin + size > len(data):
-            break
-        position = begin + size
-    return data[position:]
 
 
 def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:

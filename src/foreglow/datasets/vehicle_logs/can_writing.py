@@ -7,11 +7,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foreglow.datasets.vehicle_logs.can_log import LOG_SUFFIXES, OWN_DBC, OWN_MAPPING, read_dbc, read_mapping
+from foreglow.datasets.vehicle_logs.can_log import OWN_DBC, OWN_MAPPING, read_dbc, read_mapping
+from foreglow.datasets.vehicle_logs.log_frames import LOG_SUFFIXES
 from foreglow.datasets.vehicle_logs.street_frames import position_values, segment_values
-from foreglow.files import write_atomic
 from foreglow.street import NUM_SEGMENT_IDS, StreetMessage
 from foreglow.types import EgoMotion
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     import can

@@ -18,7 +18,7 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
-from foreglow.files import AtomicFile, naming
+from foreglow.whole_files import AtomicFile, naming
 
 APPLICATION = "foreglow"
 

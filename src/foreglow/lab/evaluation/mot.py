@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, Sequence
-from foreglow.files import make_folder, together, write_atomic
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
+from foreglow.whole_files import make_folder, together, write_atomic
 
 FALLBACK_SIDE_PX = 16.0
 """Side of the square around a light that no proposal contains, full-frame pixels."""

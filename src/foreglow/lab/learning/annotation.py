@@ -23,12 +23,13 @@ from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
-from foreglow.files import to_json, write_atomic
+from foreglow.files import to_json
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.outputs import FolderLock
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
+from foreglow.whole_files import write_atomic
 
 Labels: TypeAlias = NDArray[np.int8]
 

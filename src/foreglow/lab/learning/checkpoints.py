@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from foreglow.files import open_atomic
+from foreglow.whole_files import open_atomic
 
 NAME = "checkpoint.pt"
 _FORMAT = 1

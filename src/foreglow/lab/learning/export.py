@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.files import write_atomic
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from onnx import ModelProto

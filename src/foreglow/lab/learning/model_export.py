@@ -16,12 +16,12 @@ from torch import nn
 
 from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
-from foreglow.files import write_atomic
 from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
 from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
 from foreglow.lab.learning.samples import Samples
 from foreglow.lab.learning.scores import Calibrator
 from foreglow.types import KINDS
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from onnx import ModelProto

@@ -26,12 +26,12 @@ from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import preset
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.images import NPY_ERRORS
-from foreglow.files import write_atomic
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import RECIPES
 from foreglow.lab.learning.sample_cache import cached_samples
 from foreglow.lab.learning.samples import ARRAYS, Jitter, SampleConfig, Samples, joined
 from foreglow.models import OLD_SAMPLES
+from foreglow.whole_files import write_atomic
 
 NUM_SAMPLES = 3000
 

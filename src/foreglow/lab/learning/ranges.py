@@ -38,11 +38,11 @@ from foreglow.distance.hypotheses import (
 )
 from foreglow.distance.road_surface import RoadSurface, View
 from foreglow.distance.weighing import weighed_ranges
-from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import smallest_box
 from foreglow.proposals import make_proposer
 from foreglow.types import Detections
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     import torch

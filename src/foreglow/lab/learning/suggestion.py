@@ -12,11 +12,12 @@ import numpy as np
 
 from foreglow.datasets import open_source
 from foreglow.datasets.json_files import read_lines
-from foreglow.files import MAX_TEXT_BYTES, read_bytes, shortened, together, write_atomic
+from foreglow.files import MAX_TEXT_BYTES, read_bytes, shortened
 from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, nearest_profile
 from foreglow.runs.recorded_run import RecordedRun, source_of_run
 from foreglow.types import FrameResult
 from foreglow.types.arrays import Boxes
+from foreglow.whole_files import together, write_atomic
 
 FILE_NAME = "suggestions.csv"
 LOOK_STEP = 10

@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
-from foreglow.files import together, write_atomic, write_json_results
+from foreglow.files import write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
@@ -26,6 +26,7 @@ from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
 from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
+from foreglow.whole_files import together, write_atomic
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training import TrainingResult

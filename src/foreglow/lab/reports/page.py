@@ -13,9 +13,10 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from foreglow.files import make_folder, to_json, together, write_atomic, write_json_results
+from foreglow.files import to_json, write_json_results
 from foreglow.outputs import running_command
 from foreglow.provenance import provenance
+from foreglow.whole_files import make_folder, together, write_atomic
 
 DASH = "–"
 

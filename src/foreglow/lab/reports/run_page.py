@@ -14,13 +14,13 @@ from foreglow.config import config_to_toml
 from foreglow.display.beam_view import MODES
 from foreglow.display.overlay import annotate
 from foreglow.display.tone import Tone
-from foreglow.files import write_atomic
 from foreglow.geometry import Floats
 from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREY, PALE, jpeg, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Page, Table, number
 from foreglow.photometry import read_headlamps
 from foreglow.runs.recorded_run import RecordedRun, read_frames, read_run
 from foreglow.types import Frame, FrameResult, TrackState
+from foreglow.whole_files import write_atomic
 
 MAX_ROWS = 30
 """Of the lights in a timeline; the longest are shown."""

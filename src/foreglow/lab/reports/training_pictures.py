@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.pen import REFERENCE_HEIGHT_PX, Pen
 from foreglow.display.tone import Tone
-from foreglow.files import MIB, open_atomic, read_text, write_atomic
+from foreglow.files import MIB, read_text
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.fine_tuning import Judged
+from foreglow.whole_files import open_atomic, write_atomic
 
 CURVES, PICTURE = "curves.csv", "curves.png"
 

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from foreglow.files import together, write_atomic, write_json_results
+from foreglow.files import write_json_results
 from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number
 from foreglow.provenance import provenance
+from foreglow.whole_files import together, write_atomic
 
 SPLITS = ("train", "val", "test")
 

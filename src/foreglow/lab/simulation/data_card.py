@@ -13,9 +13,9 @@ from pathlib import Path
 
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.simulated.files import InfoFile, finished_sequences, has_truth
-from foreglow.files import write_atomic
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.writing.scene_files import read_scenes
+from foreglow.whole_files import write_atomic
 
 FILE = "DATA_CARD.md"
 

@@ -12,9 +12,9 @@ from foreglow.datasets.simulated import Artifact, VehicleTruth
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
-from foreglow.files import atomic_path, together, write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.writing.dataset import Progress
+from foreglow.whole_files import atomic_path, together, write_atomic
 
 KIND_BGR: dict[str, Colour] = {
     "lamp": (90, 235, 120),

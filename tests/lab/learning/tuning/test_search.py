@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
 import json
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -143,6 +146,23 @@ def test_a_line_that_was_cut_off_is_left_out(straight: Tuning, data: Path, tmp_p
     again = searched(data, tmp_path, 5)
     assert len(again.trials) == 5
     assert drawn(again.trials)[:2] == drawn(straight.trials)[:2]
+
+
+def test_a_lock_that_a_killed_process_left_is_broken_without_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    import optuna
+
+    journal, clock = tmp_path / "study.journal", itertools.count()
+    journal.touch()
+    journal.with_name("study.journal.lock").symlink_to(journal)
+    module = importlib.import_module("optuna.storages.journal._file")
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: next(clock), sleep=lambda _: None))
+    monkeypatch.setattr(optuna.logging.get_logger("optuna"), "propagate", True)  # to caplog
+    study = open_study(StudyPlan(str(journal), "name", TuningSettings()))
+    assert study.get_trials() == []
+    assert next(clock) > 30  # it has waited
+    assert caplog.messages == []
 
 
 def test_finished_study_runs_no_trial(straight: Tuning, data: Path, tmp_path: Path) -> None:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import pytest
+
+from foreglow.config import preset
 from foreglow.lab.evaluation.occurrence import Sighting
-from foreglow.lab.studies.occurrence.run import report_lines
+from foreglow.lab.studies.occurrence.run import report_lines, run_experiment
 
 
 def test_a_row_for_each_lead() -> None:
@@ -19,3 +23,8 @@ def test_a_row_for_each_lead() -> None:
     ]
     assert papers.startswith("The paper has no value")
     assert report_lines([]) == ["No vehicle comes into sight after it was hidden."]
+
+
+def test_without_a_model_nothing_is_expected() -> None:
+    with pytest.raises(ValueError, match="beam: expected a model"):
+        run_experiment(Path("a split"), preset("paper"))

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource
-from foreglow.files import open_atomic, write_atomic
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.annotation import Progress
 from foreglow.proposals import make_proposer
 from foreglow.types import Image
+from foreglow.whole_files import open_atomic, write_atomic
 
 
 @dataclass(frozen=True, slots=True)

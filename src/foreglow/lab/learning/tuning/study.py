@@ -104,7 +104,7 @@ def open_study(plan: StudyPlan) -> optuna.Study:
     import optuna
     from optuna.pruners import MedianPruner
 
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # it warns of the lock that a killed process has left
     try:
         return optuna.create_study(
             storage=_storage(plan.storage),

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.files import write_atomic
 from foreglow.lab.evaluation import Predictions
 from foreglow.lab.learning.yolo.backends import BACKENDS, Detector, YoloConfig
 from foreglow.lab.learning.yolo.export import (
@@ -29,6 +28,7 @@ from foreglow.lab.learning.yolo.export import (
 )
 from foreglow.provenance import provenance
 from foreglow.types import Frame
+from foreglow.whole_files import write_atomic
 
 CONFIG_NAME, RESULTS_NAME = "config.json", "results.json"
 

@@ -11,13 +11,13 @@ from foreglow.datasets.images import png
 from foreglow.datasets.simulated.files import MAX_FRAMES, TruthWriter, sequence_name
 from foreglow.datasets.simulated.light_maps import encoded, light_map_path
 from foreglow.datasets.simulated.shares import SHARES_FILE, BoxShares, write_shares
-from foreglow.files import write_atomic
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.lidar import lidar_depth
 from foreglow.lab.simulation.writing.scene_files import SceneFile, road_file
 from foreglow.lab.simulation.writing.street_data import STREET_STREAM, StreetMap
+from foreglow.whole_files import write_atomic
 
 LIDAR_STREAM = 902
 """Random stream of a scene's scanner, `np.random.default_rng([scene.seed, LIDAR_STREAM])`."""

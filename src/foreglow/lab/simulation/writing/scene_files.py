@@ -17,13 +17,13 @@ from foreglow.datasets.json_files import read_json, read_json_lines
 from foreglow.datasets.pvdn.schema import Id
 from foreglow.datasets.simulated import SequenceTruth
 from foreglow.datasets.simulated.files import RoadFile
-from foreglow.files import write_atomic
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.variants import Variant
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.lidar import LidarConfig
 from foreglow.lab.simulation.writing.street_data import StreetDataError
+from foreglow.whole_files import write_atomic
 
 
 class Making(FrozenModel):

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from foreglow.display.overlay import ACCEPTED_BGR, PROPOSAL_BGR, TRACK_BGR, Colour, Picture
 from foreglow.display.tone import Tone
-from foreglow.files import write_atomic
 from foreglow.lab.evaluation import Predictions
 from foreglow.lab.studies.demo.metrics import Moment, Story
 from foreglow.lab.studies.demo.page import PLACES, conclusion, first_words, found_word
 from foreglow.types import Frame
+from foreglow.whole_files import write_atomic
 
 # The sheet is drawn at twice its size and reduced at the end, so that text and lines are smooth; lengths are in pixels
 # of the large one.

@@ -15,7 +15,7 @@ from pydantic import Field
 from foreglow.config import ProposalConfig, preset
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.files import to_json, write_atomic
+from foreglow.files import to_json
 from foreglow.lab.evaluation import (
     Predictions,
     SplitLabels,
@@ -47,6 +47,7 @@ from foreglow.proposals.reference import working_sizes
 from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
 from foreglow.types import Frame
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import RunProgress

@@ -25,8 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.json_files import Record, parse_json
-from foreglow.files import open_atomic
 from foreglow.geometry import Floats
+from foreglow.whole_files import open_atomic
 
 AREAS = ("own lane", "verge")
 """What the light on the road is measured on, 40 to 120 m ahead: the order of the areas in `RoadLight`."""

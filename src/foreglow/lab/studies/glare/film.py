@@ -12,10 +12,10 @@ from foreglow.display.overlay import CAPTION_BGR, Picture
 from foreglow.display.pen import Pen
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
-from foreglow.files import naming
 from foreglow.lab.studies.glare.loop import Shone
 from foreglow.photometry import Headlamps
 from foreglow.types import BeamCommand, BeamMode
+from foreglow.whole_files import naming
 
 HEIGHT_PX = 540
 """Of either picture; two of them are as wide as a full HD screen."""

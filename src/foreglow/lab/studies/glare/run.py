@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_config
 from foreglow.datasets.simulated.files import sequence_name
-from foreglow.files import read_plain_json, together, write_atomic, write_json_results
+from foreglow.files import read_plain_json, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
 from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
@@ -30,6 +30,7 @@ from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
+from foreglow.whole_files import together, write_atomic
 
 DRIVES = "drives"
 """Folder of the scenes that are finished."""

@@ -22,8 +22,9 @@ def run_experiment(split: Path, config: PipelineConfig, progress: Progress | Non
 
     Raises:
         FileNotFoundError: If an image, a label file or the simulator's truth is missing.
-        ValueError: If one is broken.
+        ValueError: If one is broken, or the configuration has no model or no tracker.
     """
+    config = config.commanding()
     dataset, truth = open_labelled(split), read_truth(split)
     pipeline = Pipeline(config)
     policy = ForeglowPolicy(config.beam, read_headlamps(config.beam.headlamps))

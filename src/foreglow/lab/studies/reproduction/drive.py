@@ -12,7 +12,7 @@ import numpy as np
 from foreglow.beam.policy import brightness
 from foreglow.config import PipelineConfig
 from foreglow.datasets import open_labelled
-from foreglow.files import together, write_atomic, write_json_results
+from foreglow.files import write_json_results
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation import Predictions, read_split_labels
 from foreglow.lab.evaluation.boxes.lights import Light
@@ -26,6 +26,7 @@ from foreglow.lab.studies.progress import Progress, counted
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import provenance
 from foreglow.types import Frame, Tracks
+from foreglow.whole_files import together, write_atomic
 
 STATES = ("light", "sight", "reported")
 """The moments of the paper's first figure: first light, the vehicle comes into sight, it is in full sight."""

@@ -20,7 +20,7 @@ from foreglow.datasets import (
 )
 from foreglow.datasets.pvdn import is_split
 from foreglow.display.summary_lines import counted as counted_words
-from foreglow.files import to_json, write_atomic, write_json_results
+from foreglow.files import to_json, write_json_results
 from foreglow.lab.evaluation.vehicles import HUMAN_DELAY_S
 from foreglow.lab.studies.detector.rows import ROWS
 from foreglow.lab.studies.paper_chain import paper_chain
@@ -31,6 +31,7 @@ from foreglow.models import model_path
 from foreglow.parallel import Workers
 from foreglow.provenance import provenance
 from foreglow.runtime.ros2 import STAGE_NODES
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import Epoch

@@ -13,7 +13,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from foreglow.files import make_folder, together, write_atomic
 from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.reproduction.claims import (
@@ -35,6 +34,7 @@ from foreglow.lab.studies.reproduction.claims import (
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
 from foreglow.lab.studies.reproduction.plan import TRAINED, ReproductionPlan
 from foreglow.lab.studies.reproduction.run import Outcome
+from foreglow.whole_files import make_folder, together, write_atomic
 
 TITLE = "The paper, and what is here"
 SOURCE = "Ewecker et al., Provident Vehicle Detection at Night for Advanced Driver Assistance Systems, arXiv 2107.11302"

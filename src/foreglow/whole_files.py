@@ -1,0 +1,234 @@
+"""Files that appear whole or not at all, also several together, and errors that name their file."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import threading
+from collections.abc import Iterator
+from contextvars import ContextVar
+from pathlib import Path
+from typing import BinaryIO
+
+_TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
+"""Name of a hidden file that is being written, with the process that writes it."""
+
+MAX_LOCKS = 256
+"""Files of a block of `together` that stay locked until its end; more would use up the descriptors of a process."""
+
+_CLEARED: set[Path] = set()
+"""Folders that this process has cleared of what killed processes left."""
+
+
+@contextlib.contextmanager
+def open_atomic(path: Path) -> Iterator[BinaryIO]:
+    """A file to write to, which becomes `path` when the block ends without an error, and vanishes otherwise.
+
+    Raises:
+        OSError: If it cannot be written, such as on a full disk; the message names `path`, which is then as it was.
+    """
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        yield file
+
+
+class AtomicFile:
+    """As `open_atomic`, for a file that is written over a longer time than a block.
+
+    Attributes:
+        file: What to write to.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Opens the file.
+
+        Raises:
+            OSError: If it cannot be written; the message names `path`.
+        """
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        self._path = path
+        self._closing = contextlib.ExitStack()
+        self.file: BinaryIO = self._closing.enter_context(open_atomic(path))
+
+    def close(self) -> None:
+        """Completes the file.
+
+        Raises:
+            OSError: If the disk is full; the message names the path.
+        """
+        with naming(self._path):
+            self._closing.close()
+
+    def discard(self) -> None:
+        """Deletes what was written, unless it was completed before."""
+        with contextlib.suppress(_DiscardedError, OSError), self._closing:  # what waits for the full disk
+            raise _DiscardedError
+
+
+class _DiscardedError(Exception):
+    """Ends the block of a file that is not wanted."""
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """The path of an empty file to write to, for libraries that open it themselves; else as `open_atomic`.
+
+    What processes that were killed have left of such files in the folder is removed.
+
+    Raises:
+        OSError: If it cannot be written, such as on a full disk; the message names `path`, which is then as it was.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):  # a folder cannot be overwritten anyway
+        raise OSError(f"{path}: expected a regular file to overwrite, got a device, a pipe or a socket")
+    _clear(path.parent)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
+    try:
+        with naming(path, in_place_of=temporary):
+            with temporary.open("wb") as held:
+                _try_lock(held)
+                yield temporary
+                block = _BLOCK.get()
+                if block is not None:
+                    block.add(path, temporary, held)
+            if block is None:
+                temporary.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextlib.contextmanager
+def together() -> Iterator[None]:
+    """Has all files that this thread writes atomically in the block appear at its end, or none of them after an error.
+
+    Until then none can be read. A block within a block is a part of it.
+
+    Raises:
+        OSError: If one cannot be put in its place; the message names it.
+    """
+    if _BLOCK.get() is not None:
+        yield
+        return
+    block = _Block()
+    token = _BLOCK.set(block)
+    try:
+        yield
+        block.publish()
+    except BaseException:
+        block.discard()
+        raise
+    finally:
+        _BLOCK.reset(token)
+        block.release()
+
+
+def make_folder(path: Path) -> None:
+    """Makes a folder with its parents; those made in a block of `together` go again after an error.
+
+    Raises:
+        OSError: If it cannot be made; the message names it.
+    """
+    block = _BLOCK.get()
+    if block is not None:
+        block.folders += [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+
+
+class _Block:
+    """The files of a block of `together`, under their temporary names."""
+
+    def __init__(self) -> None:
+        self.folders: list[Path] = []
+        self._temporaries: dict[Path, Path] = {}
+        self._locks: list[int] = []
+
+    def add(self, path: Path, temporary: Path, locked: BinaryIO) -> None:
+        self._temporaries[path] = temporary
+        if len(self._locks) < MAX_LOCKS:
+            self._locks.append(os.dup(locked.fileno()))
+
+    def publish(self) -> None:
+        for path in self._temporaries:  # before any is replaced
+            if path.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        for path, temporary in self._temporaries.items():
+            with naming(path, in_place_of=temporary):
+                temporary.replace(path)
+
+    def discard(self) -> None:
+        for temporary in self._temporaries.values():
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+        for folder in sorted(self.folders, reverse=True):  # what is in a folder comes first
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+    def release(self) -> None:
+        for descriptor in self._locks:
+            os.close(descriptor)
+
+
+_BLOCK: ContextVar[_Block | None] = ContextVar("_BLOCK", default=None)
+
+
+def _clear(folder: Path) -> None:
+    """Removes the temporary files in `folder` whose process is gone; once per folder is enough."""
+    if folder in _CLEARED:
+        return
+    _CLEARED.add(folder)
+    with contextlib.suppress(OSError):
+        for left in folder.iterdir():
+            found = _TEMPORARY.fullmatch(left.name)
+            if found and not _is_alive(int(found[1])):
+                with left.open("rb") as file:
+                    if _try_lock(file):  # else a process on another machine writes it
+                        left.unlink()
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # somebody else's
+        return True
+    return True
+
+
+def _try_lock(file: BinaryIO) -> bool:
+    """Locks `file` until it is closed; returns whether that succeeded."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # held by another, or a file system without locks
+        return False
+    return True
+
+
+def write_atomic(path: Path, data: bytes) -> None:
+    """Writes `data` to `path`, whole or not at all.
+
+    Raises:
+        OSError: If it cannot be written; the message names `path`, which is then as it was.
+    """
+    with open_atomic(path) as file:
+        file.write(data)
+
+
+@contextlib.contextmanager
+def naming(path: Path, *, in_place_of: Path | None = None) -> Iterator[None]:
+    """Adds `path` to an OSError that does not name its file, such as that of a full disk.
+
+    Args:
+        path: The file that the user knows.
+        in_place_of: A temporary file of ours; an error that names it will name `path` instead.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, in_place_of and str(in_place_of)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error

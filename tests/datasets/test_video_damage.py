@@ -1,0 +1,199 @@
+"""Damage of a video: it is found in the same frames each time, also in the last ones, and never where there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+from foreglow.datasets import Video
+from foreglow.datasets.source import OnError
+from tests.datasets.test_video import NUM_FRAMES, make_video
+
+GOP = 12
+
+
+def make_stream(path: Path, *, num_frames: int = 60) -> bytes:
+    """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame."""
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 255, (96, 128 + num_frames, 3), np.uint8)
+    with av.open(str(path), "w", format="mpegts") as container:
+        stream: Any = container.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        stream.bit_rate, stream.gop_size = 1_000_000, GOP
+        for index in range(num_frames):
+            view = np.ascontiguousarray(noise[:, index : index + 128])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="rgb24")))
+        container.mux(stream.encode(None))
+    return path.read_bytes()
+
+
+def packets_of(path: Path) -> list[tuple[int, int]]:
+    """Where the packets of a video are in its file, and their sizes."""
+    container: Any = av.open(str(path))
+    with container:
+        return [(packet.pos, packet.size) for packet in container.demux(container.streams.video[0]) if packet.size]
+
+
+def damaged_stream(path: Path, frame: int) -> None:
+    """The stream with a packet missing from the middle of a frame."""
+    data = make_stream(path)
+    position, size = packets_of(path)[frame]
+    start = (position + size // 2) // 188 * 188
+    path.write_bytes(data[:start] + data[start + 188 :])
+
+
+def test_times_that_begin_anew_begin_a_sequence(tmp_path: Path) -> None:
+    """Two recordings that were appended to each other: no track and no command goes on from the one to the other."""
+    path = tmp_path / "two.ts"
+    path.write_bytes(2 * make_stream(tmp_path / "first.ts"))
+    frames = list(Video(path, on_error="mark"))
+    sequences = list(dict.fromkeys(frame.sequence for frame in frames))
+    second = next(frame for frame in frames if frame.sequence)
+    assert sequences == ["", f"frame {second.frame}"]
+    for sequence in sequences:
+        times_ns = [frame.timestamp_ns for frame in frames if frame.sequence == sequence]
+        assert times_ns == sorted(times_ns)
+
+
+def test_a_lost_packet_marks_frames_until_the_next_key_frame(tmp_path: Path) -> None:
+    path = tmp_path / "stream.ts"
+    make_stream(path)
+    clean = [frame.image for frame in Video(path)]
+    damaged_stream(path, 20)
+    with pytest.raises(ValueError, match=r"stream\.ts: frame \d+: expected an undamaged frame"):
+        list(Video(path))
+    video = Video(path, on_error="mark")
+    frames = list(video)
+    is_off = [bool((frame.image != image).any()) for frame, image in zip(frames, clean, strict=True)]
+    is_damaged = [frame.is_damaged for frame in frames]
+    assert any(is_off)
+    assert all(marked for marked, off in zip(is_damaged, is_off, strict=True) if off)
+    assert not any(is_damaged[:18])  # known early, as packets are read ahead
+    assert not any(is_damaged[2 * GOP + 1 :])
+    assert video.skipped == []
+    kept = list(Video(path, on_error="skip"))
+    assert [frame.frame for frame in kept] == [frame.frame for frame in frames if not frame.is_damaged]
+
+
+def test_a_damaged_key_frame_does_not_end_the_damage(tmp_path: Path) -> None:
+    path = tmp_path / "stream.ts"
+    damaged_stream(path, 2 * GOP)
+    is_damaged = [frame.is_damaged for frame in Video(path, on_error="mark")]
+    assert all(is_damaged[2 * GOP : 3 * GOP])
+    assert not any(is_damaged[3 * GOP + 1 :])
+
+
+def test_what_cannot_be_decoded_at_the_end_is_an_error(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "clip.avi", codec="mjpeg", pixels="yuvj420p")
+    position, size = packets_of(path)[-1]
+    data = bytearray(path.read_bytes())
+    data[position + 8 : position + size] = bytes(size - 8)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="expected an undamaged frame"):
+        list(Video(path))
+    assert len(list(Video(path, on_error="mark"))) == NUM_FRAMES - 1
+
+
+def make_noise(path: Path, codec: str, pixels: str = "yuv420p", num_frames: int = 30) -> Path:
+    """A film of noise that moves, one key frame at its beginning if the codec has others."""
+    noise = np.random.default_rng(1).integers(0, 255, (240, 320 + num_frames), np.uint8)
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream(codec, rate=18)
+        stream.width, stream.height, stream.pix_fmt = 320, 240, pixels
+        for index in range(num_frames):
+            view = np.ascontiguousarray(noise[:, index : index + 320])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray")))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels"),
+    [
+        *((f"clip{suffix}", "libx264", "yuv420p") for suffix in (".mp4", ".mkv", ".avi", ".ts")),
+        *((f"clip{suffix}", "mjpeg", "yuvj420p") for suffix in (".avi", ".mkv", ".mov")),
+        *(("clip.mkv", "ffv1", pixels) for pixels in ("gray", "gray10le", "gray16le", "yuv420p", "bgr0")),
+        ("clip.avi", "ffv1", "yuv420p"),
+        ("clip.webm", "libvpx-vp9", "yuv420p"),
+        ("clip.webm", "libvpx", "yuv420p"),
+        ("clip.mkv", "mpeg4", "yuv420p"),
+        ("clip.ts", "mpeg2video", "yuv420p"),
+        ("clip.mov", "prores_ks", "yuv422p10le"),
+        ("clip.mp4", "libx265", "yuv420p"),
+        ("clip.avi", "huffyuv", "yuv422p"),
+    ],
+)
+def test_intact_films_give_no_alarm(tmp_path: Path, name: str, codec: str, pixels: str) -> None:
+    video = Video(make_noise(tmp_path / name, codec, pixels), on_error="mark")
+    assert [frame.is_damaged for frame in video] == [False] * 30
+    assert video.skipped == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_error", ["skip", "mark"])
+def test_the_same_damage_is_found_each_time(tmp_path: Path, on_error: OnError) -> None:
+    """The demultiplexer gives up in the middle; the decoder knows of the damage with the last packet."""
+    path = make_noise(tmp_path / "clip.mkv", "libx264")
+    position, size = packets_of(path)[14]
+    data = np.frombuffer(path.read_bytes(), np.uint8).copy()
+    data[position + size // 2 : position + size] ^= 0x55
+    data[position + size + 16 : -1] = 0
+    path.write_bytes(data.tobytes())
+    found = set()
+    for _ in range(30):
+        video = Video(path, on_error=on_error)
+        found.add((tuple((frame.frame, frame.is_damaged) for frame in video), tuple(video.skipped)))
+    assert len(found) == 1
+    frames, skipped = found.pop()
+    if on_error == "mark":
+        assert any(is_damaged for _, is_damaged in frames)
+    else:
+        assert any("expected an undamaged frame" in line for line in skipped)
+    assert "expected frames until 1.67 s, the stream ends after" in skipped[-1]
+    with pytest.raises(ValueError, match="expected an undamaged frame"):
+        list(Video(path))
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".avi"])
+def test_a_wrong_checksum_of_ffv1_is_damage(tmp_path: Path, suffix: str) -> None:
+    path = make_noise(tmp_path / f"clip{suffix}", "ffv1", "gray")
+    clean = [frame.image for frame in Video(path)]
+    position, size = packets_of(path)[10]
+    data = bytearray(path.read_bytes())
+    data[position + size // 2] ^= 0x10
+    path.write_bytes(bytes(data))
+    frames = list(Video(path, on_error="mark"))
+    assert len(frames) == len(clean)
+    is_off = [bool((frame.image != image).any()) for frame, image in zip(frames, clean, strict=True)]
+    assert any(is_off)
+    assert all(frame.is_damaged for frame, off in zip(frames, is_off, strict=True) if off)
+    assert not any(frame.is_damaged for frame in frames[:10])
+
+
+def test_mjpeg_that_ends_too_early_is_damage(tmp_path: Path) -> None:
+    path = make_noise(tmp_path / "clip.avi", "mjpeg", "yuvj420p")
+    position, size = packets_of(path)[10]
+    data = bytearray(path.read_bytes())
+    data[position + 8 + size // 2 : position + size] = bytes(size - 8 - size // 2)
+    path.write_bytes(bytes(data))
+    frames = list(Video(path, on_error="mark"))
+    assert [frame.frame for frame in frames] == list(range(30))  # a lenient decoder fills the picture
+    assert frames[10].is_damaged
+    assert sum(frame.is_damaged for frame in frames) <= 2
+
+
+def test_the_lost_rest_of_a_matroska_file_is_told(tmp_path: Path) -> None:
+    path = make_noise(tmp_path / "clip.mkv", "mjpeg", "yuvj420p")
+    position, size = packets_of(path)[14]
+    data = bytearray(path.read_bytes())
+    data[position + size : -1] = bytes(len(data) - 1 - position - size)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match=r"expected frames until 1\.67 s, the stream ends after 0\.83 s"):
+        list(Video(path))
+    video = Video(path, on_error="mark")
+    assert len(list(video)) == 15
+    assert len(video.skipped) == 1
