@@ -80,7 +80,7 @@ public:
     }
 
     void write(ImageChange& change) const {
-        change.num_rows = num_;
+        change.num_rows = num_rows_;
         change.num_repeated_rows = num_repeated_;
         if (num_pieces_ > 0) {
             change.share_flat_rows = static_cast<double>(num_flat_rows_) / static_cast<double>(num_middle_);
@@ -91,13 +91,13 @@ public:
     }
 
 private:
-    // The narrowest that hold a difference, and the squares of a row of them: many of the former fit into a register.
+    // The narrowest types that hold a difference, and the sum of a row's squares: so more of them fit into a register.
     using Step = std::conditional_t<sizeof(Pixel) == 1, std::int16_t, std::int64_t>;
     using Sum = std::conditional_t<sizeof(Pixel) == 1, std::int32_t, std::int64_t>;
 
     void find_repetition(std::int64_t y) {
         const auto num_bytes = static_cast<std::size_t>(image_.width_px) * sizeof(Pixel);
-        ++num_;
+        ++num_rows_;
         num_repeated_ += std::memcmp(image_.row<Pixel>(y), image_.row<Pixel>(y + 1), num_bytes) == 0;
     }
 
@@ -130,7 +130,8 @@ private:
     const ImageView& image_;
     std::int64_t every_;
     std::vector<Step> above_, here_;
-    std::int64_t num_ = 0, num_repeated_ = 0, num_middle_ = 0, num_flat_rows_ = 0, num_pieces_ = 0, num_flat_pieces_ = 0;
+    std::int64_t num_rows_ = 0, num_repeated_ = 0;  // looked at for repetition
+    std::int64_t num_middle_ = 0, num_flat_rows_ = 0, num_pieces_ = 0, num_flat_pieces_ = 0;
     double steps_[2] = {1.0, 1.0}, squares_[2] = {1.0, 1.0};  // within pairs of rows and between them
 };
 

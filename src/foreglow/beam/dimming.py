@@ -119,6 +119,6 @@ class Ramp:
 
 
 def _ends_m(gap: Gap) -> list[tuple[float, float]]:
-    """Where the borders of `gap` begin and end: forward and left in the vehicle's frame; between r1 and r2."""
+    """Where the borders of `gap` begin and end, at r1 and r2: forward and left in the vehicle's frame."""
     ranges_m = {min(gap.near_m, FAR_M), min(gap.far_m, FAR_M)}  # often one and the same
     return [(range_m * math.cos(border), range_m * math.sin(border)) for border in gap[:2] for range_m in ranges_m]

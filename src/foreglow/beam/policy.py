@@ -189,12 +189,12 @@ class ForeglowPolicy(BeamPolicy):
         lamps = {track_id: bearing for track_id, bearing in acted.items() if bearing.is_lamp}
         passed = {track_id for track_id, bearing in self._lamps.items() if bearing.is_leaving and track_id not in lamps}
         self._explain(now_ns, lamps, passed, bearings)
-        certain: dict[int, list[float]] = {}
+        certain_rad: dict[int, list[float]] = {}  # of each vehicle, azimuths of the lamps that are certain
         for bearing in lamps.values():
             if bearing.vehicle != NO_VEHICLE and bearing.direct > SURE_DIRECT:
-                certain.setdefault(bearing.vehicle, []).append(bearing.azimuth_rad)
+                certain_rad.setdefault(bearing.vehicle, []).append(bearing.azimuth_rad)
         self._held = {
-            track_id: _Held(now_ns, bearing.vehicle, self._lamp_gap(bearing, certain.get(bearing.vehicle, ())))
+            track_id: _Held(now_ns, bearing.vehicle, self._lamp_gap(bearing, certain_rad.get(bearing.vehicle, ())))
             for track_id, bearing in lamps.items()
         }
         unexplained = {track_id: bearing for track_id, bearing in acted.items() if track_id not in self._explained_ns}
@@ -208,7 +208,7 @@ class ForeglowPolicy(BeamPolicy):
         for vehicle, key, gap in self._hidden_gaps(frame, unexplained):
             self._held[key] = _Held(now_ns, vehicle, gap)
         for key, before in held.items():
-            is_over = key in passed or before.vehicle in certain
+            is_over = key in passed or before.vehicle in certain_rad
             if key not in self._held and not is_over and 0 <= now_ns - before.since_ns <= self._hold_ns:
                 self._held[key] = before
         return [kept.gap for kept in self._held.values()]

@@ -49,8 +49,8 @@ class Vehicles(Value):
             array = getattr(self, name)
             if array.shape != (count,) or array.dtype != dtype:
                 raise ValueError(
-                    f"Vehicles.{name}: expected {dtype.name} of shape {(count,)}, got {array.dtype} of "
-                    f"shape {array.shape}"
+                    f"Vehicles.{name}: expected {dtype.name} of shape {(count,)}, "
+                    f"got {array.dtype} of shape {array.shape}"
                 )
             object.__setattr__(self, name, frozen_view(array))
         if not (self.ids[1:] > self.ids[:-1]).all():
