@@ -63,6 +63,13 @@ auto owned(Value* values, const std::size_t (&shape)[num_axes]) {
     return nb::ndarray<nb::numpy, Value, nb::ndim<num_axes>>(values, num_axes, shape, owner);
 }
 
+template <std::size_t size, std::size_t num_axes>
+auto copied(const std::array<double, size>& values, const std::size_t (&shape)[num_axes]) {
+    auto* copy = new double[size];
+    std::copy(values.begin(), values.end(), copy);
+    return owned(copy, shape);
+}
+
 nb::tuple extract_crops(const PixelArray& image, const BoxArray& boxes, std::int32_t support, std::int32_t size_px,
                         const std::optional<PixelArray>& earlier) {
     if (support < 1 || size_px < 1) throw nb::value_error("support, size_px: expected at least 1");
@@ -287,16 +294,19 @@ NB_MODULE(_native, module) {
     nb::class_<foreglow::ImageChange>(module, "ImageChange", "What differs between two images.")
         .def_ro("strongest", &foreglow::ImageChange::strongest)
         .def_prop_ro("tiles", [](const foreglow::ImageChange& change) {
-            auto* tiles = new double[change.tiles.size()];
-            std::copy(change.tiles.begin(), change.tiles.end(), tiles);
-            return owned(tiles, {foreglow::num_change_tiles, foreglow::num_change_tiles});
+            return copied(change.tiles, {foreglow::num_change_tiles, foreglow::num_change_tiles});
         }, nb::rv_policy::automatic)
         .def_ro("num_samples", &foreglow::ImageChange::num_samples)
         .def_ro("num_changed", &foreglow::ImageChange::num_changed)
         .def_ro("num_edges", &foreglow::ImageChange::num_edges)
         .def_ro("num_other_edges", &foreglow::ImageChange::num_other_edges)
         .def_ro("num_rows", &foreglow::ImageChange::num_rows)
-        .def_ro("num_repeated_rows", &foreglow::ImageChange::num_repeated_rows);
+        .def_ro("num_repeated_rows", &foreglow::ImageChange::num_repeated_rows)
+        .def_ro("share_flat_rows", &foreglow::ImageChange::share_flat_rows)
+        .def_ro("share_flat_pieces", &foreglow::ImageChange::share_flat_pieces)
+        .def_prop_ro("pair_ratios", [](const foreglow::ImageChange& change) {
+            return copied(change.pair_ratios, {2, 2});
+        }, nb::rv_policy::automatic);
     nb::class_<foreglow::ImageComparer>(module, "ImageComparer",
                                         "Compares each image with the one before; one object a thread.")
         .def(nb::init<>())

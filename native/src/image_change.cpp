@@ -14,6 +14,8 @@ namespace {
 constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
 constexpr std::int32_t edge_levels = 10;  // 8-bit grey levels, in the mean along the edge
 constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
+constexpr std::int64_t max_pieces = 8;    // of a row, to see whether one is flat
+constexpr std::int64_t num_columns = 160; // about so many are compared from row to row
 
 struct Grid {
     std::int64_t block_height, block_width, num_down, num_across;  // blocks
@@ -57,9 +59,92 @@ void sum_columns(const ImageView& image, std::int64_t first_row, std::int64_t nu
 }
 
 template <typename Pixel>
-bool repeats(const ImageView& image, std::int64_t y) {
-    const auto num_bytes = static_cast<std::size_t>(image.width_px) * sizeof(Pixel);
-    return std::memcmp(image.row<Pixel>(y), image.row<Pixel>(y + 1), num_bytes) == 0;
+bool is_flat(const Pixel* row, std::int64_t first, std::int64_t end) {
+    return std::all_of(row + first, row + end, [value = row[first]](Pixel pixel) { return pixel == value; });
+}
+
+// What the rows of one image are like; takes them one by one.
+template <typename Pixel>
+class Rows {
+public:
+    explicit Rows(const ImageView& image)
+        : image_(image),
+          every_(std::max<std::int64_t>(1, image.width_px / num_columns)),
+          above_(static_cast<std::size_t>((image.width_px + every_ - 1) / every_)),
+          here_(above_.size()) {}
+
+    void take(std::int64_t y) {
+        if (y % block_px == 0 && y + 1 < image_.height_px) find_repetition(y);
+        if (y % block_px == block_px / 2) find_flat_pieces(y);
+        compare_with_above(y);
+    }
+
+    void write(ImageChange& change) const {
+        change.num_rows = num_rows_;
+        change.num_repeated_rows = num_repeated_;
+        if (num_pieces_ > 0) {
+            change.share_flat_rows = static_cast<double>(num_flat_rows_) / static_cast<double>(num_middle_);
+            change.share_flat_pieces = static_cast<double>(num_flat_pieces_) / static_cast<double>(num_pieces_);
+        }
+        change.pair_ratios = {steps_[0] / steps_[1], steps_[1] / steps_[0], squares_[0] / squares_[1],
+                              squares_[1] / squares_[0]};
+    }
+
+private:
+    // The narrowest types that hold a difference, and the sum of a row's squares: so more of them fit into a register.
+    using Step = std::conditional_t<sizeof(Pixel) == 1, std::int16_t, std::int64_t>;
+    using Sum = std::conditional_t<sizeof(Pixel) == 1, std::int32_t, std::int64_t>;
+
+    void find_repetition(std::int64_t y) {
+        const auto num_bytes = static_cast<std::size_t>(image_.width_px) * sizeof(Pixel);
+        ++num_rows_;
+        num_repeated_ += std::memcmp(image_.row<Pixel>(y), image_.row<Pixel>(y + 1), num_bytes) == 0;
+    }
+
+    void find_flat_pieces(std::int64_t y) {
+        const Pixel* row = image_.row<Pixel>(y);
+        const std::int64_t width = image_.width_px, num = width < max_pieces ? 1 : max_pieces;
+        ++num_middle_;
+        num_pieces_ += num;
+        num_flat_rows_ += is_flat(row, 0, width);
+        for (std::int64_t i = 0; i < num; ++i) {
+            num_flat_pieces_ += is_flat(row, i * width / num, (i + 1) * width / num);
+        }
+    }
+
+    void compare_with_above(std::int64_t y) {
+        const Pixel* pixels = image_.row<Pixel>(y);
+        std::swap(above_, here_);
+        for (std::size_t i = 0; i < here_.size(); ++i) here_[i] = pixels[static_cast<std::int64_t>(i) * every_];
+        if (y == 0) return;
+        Sum sum = 0, sum_of_squares = 0;
+        for (std::size_t i = 0; i < here_.size(); ++i) {
+            const auto step = static_cast<Step>(here_[i] - above_[i]);
+            sum += std::abs(step);
+            sum_of_squares += Sum{step} * step;
+        }
+        steps_[(y + 1) % 2] += static_cast<double>(sum);
+        squares_[(y + 1) % 2] += static_cast<double>(sum_of_squares);
+    }
+
+    const ImageView& image_;
+    std::int64_t every_;
+    std::vector<Step> above_, here_;
+    std::int64_t num_rows_ = 0, num_repeated_ = 0;  // looked at for repetition
+    std::int64_t num_middle_ = 0, num_flat_rows_ = 0, num_pieces_ = 0, num_flat_pieces_ = 0;
+    double steps_[2] = {1.0, 1.0}, squares_[2] = {1.0, 1.0};  // within pairs of rows and between them
+};
+
+// Sums over the segments of a horizontal line, behind it less before it.
+template <typename Pixel>
+void sum_jumps(const ImageView& image, const Grid& grid, std::int64_t line, std::int32_t* horizontal) {
+    const Pixel* behind = image.row<Pixel>((line + 1) * block_px);
+    const Pixel* before = image.row<Pixel>((line + 1) * block_px - 1);
+    for (std::int64_t i = 0; i < grid.segments_across; ++i) {
+        std::int32_t jump = 0;
+        for (std::int64_t k = 0; k < square_px; ++k) jump += behind[i * square_px + k] - before[i * square_px + k];
+        horizontal[i * grid.lines_down + line] = jump;
+    }
 }
 
 // Counts where the two differ by more than `limit`, at every other place on its own: counts[0] and counts[1].
@@ -79,7 +164,7 @@ void count_edges(const std::int32_t* now, const std::int32_t* before, std::int64
 }  // namespace
 
 template <typename Pixel>
-void ImageComparer::digest(const ImageView& image) {
+void ImageComparer::digest(const ImageView& image, ImageChange& change) {
     const Grid grid(image);
     now_.width_px = image.width_px;
     now_.height_px = image.height_px;
@@ -88,17 +173,23 @@ void ImageComparer::digest(const ImageView& image) {
     now_.samples.resize(now_.blocks.size());
     now_.vertical.assign(static_cast<std::size_t>(grid.lines_across * grid.segments_down), 0);
     now_.horizontal.resize(static_cast<std::size_t>(grid.lines_down * grid.segments_across));
+    Rows<Pixel> rows(image);
     using Sum = std::conditional_t<sizeof(Pixel) == 1, std::uint16_t, std::uint32_t>;
     std::vector<Sum> column_sums(static_cast<std::size_t>(image.width_px));
     const Sum* sums = column_sums.data();
-    for (std::int64_t j = 0; j < grid.num_down; ++j) {
-        sum_columns<Pixel, Sum>(image, j * grid.block_height, grid.block_height, column_sums.data());
-        const Pixel* middle = image.row<Pixel>(j * grid.block_height + grid.block_height / 2);
+    // All that is counted on a band of rows is counted while they are in the nearest cache.
+    for (std::int64_t top = 0, j = 0; top < image.height_px; top += block_px, ++j) {
+        if (j > 0) sum_jumps<Pixel>(image, grid, j - 1, now_.horizontal.data());
+        const std::int64_t bottom = std::min<std::int64_t>(top + block_px, image.height_px);
+        for (std::int64_t y = top; y < bottom; ++y) rows.take(y);
+        if (j == grid.num_down) break;
+        sum_columns<Pixel, Sum>(image, top, grid.block_height, column_sums.data());
+        const Pixel* middle = image.row<Pixel>(top + grid.block_height / 2);
         for (std::int64_t i = 0; i < grid.num_across; ++i) {
-            const std::uint32_t sum = std::accumulate(sums + i * grid.block_width, sums + (i + 1) * grid.block_width, 0U);
-            now_.blocks[static_cast<std::size_t>(j * grid.num_across + i)] = sum;
-            now_.samples[static_cast<std::size_t>(j * grid.num_across + i)] =
-                middle[i * grid.block_width + grid.block_width / 2];
+            const Sum* block = sums + i * grid.block_width;
+            const auto index = static_cast<std::size_t>(j * grid.num_across + i);
+            now_.blocks[index] = std::accumulate(block, block + grid.block_width, 0U);
+            now_.samples[index] = middle[i * grid.block_width + grid.block_width / 2];
         }
         if (j / 2 >= grid.segments_down) continue;
         std::int32_t* jumps = now_.vertical.data() + j / 2 * grid.lines_across;
@@ -107,21 +198,14 @@ void ImageComparer::digest(const ImageView& image) {
             jumps[i] += static_cast<std::int32_t>(behind[0]) - static_cast<std::int32_t>(behind[-1]);
         }
     }
-    for (std::int64_t j = 0; j < grid.lines_down; ++j) {
-        const Pixel* behind = image.row<Pixel>((j + 1) * block_px);
-        const Pixel* before = image.row<Pixel>((j + 1) * block_px - 1);
-        for (std::int64_t i = 0; i < grid.segments_across; ++i) {
-            std::int32_t jump = 0;
-            for (std::int64_t k = 0; k < square_px; ++k) jump += behind[i * square_px + k] - before[i * square_px + k];
-            now_.horizontal[static_cast<std::size_t>(i * grid.lines_down + j)] = jump;
-        }
-    }
+    rows.write(change);
 }
 
 bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     const bool is_u8 = image.pixel_type == PixelType::u8;
     std::swap(before_, now_);
-    is_u8 ? digest<std::uint8_t>(image) : digest<std::uint16_t>(image);
+    ImageChange found;
+    is_u8 ? digest<std::uint8_t>(image, found) : digest<std::uint16_t>(image, found);
     if (before_.width_px != now_.width_px || before_.height_px != now_.height_px ||
         before_.pixel_type != now_.pixel_type) {
         return false;
@@ -129,7 +213,7 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     const Grid grid(image);
     const std::int32_t unit = is_u8 ? units<std::uint8_t> : units<std::uint16_t>;
     const double mean_levels = 1.0 / static_cast<double>(unit * grid.block_height * grid.block_width);
-    change = ImageChange();
+    change = found;
     changes_.resize(now_.blocks.size());
     for (std::size_t i = 0; i < changes_.size(); ++i) {
         changes_[i] = std::max(now_.blocks[i], before_.blocks[i]) - std::min(now_.blocks[i], before_.blocks[i]);
@@ -167,10 +251,6 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     }
     change.num_other_edges = counts[0];
     change.num_edges = counts[1];
-    for (std::int64_t y = 0; y + 1 < image.height_px; y += block_px) {
-        ++change.num_rows;
-        change.num_repeated_rows += is_u8 ? repeats<std::uint8_t>(image, y) : repeats<std::uint16_t>(image, y);
-    }
     return true;
 }
 

@@ -70,7 +70,7 @@ class RayCaster:
             origin, turned = body @ origin, body @ turned
         rays = np.empty((len(pixels), 3))
         rays[:, 0] = 1.0
-        rays[:, 1:] = -self._tangents_of(camera, pixels)
+        np.negative(self._tangents_of(camera, pixels), out=rays[:, 1:])
         directions = rays @ turned.T
         directions /= np.sqrt(np.einsum("ij,ij->i", rays, rays))[:, None]
         return Rays(origin, directions, pitch_sigma_rad)
@@ -83,7 +83,8 @@ class RayCaster:
         if self._tangents is None or key != self._key:
             self._key, self._tangents = key, _splines(camera)
         x, y = pixels[:, 0], pixels[:, 1]
-        return np.stack([spline.ev(x, y) for spline in self._tangents], -1)
+        across, down = self._tangents
+        return np.column_stack([across.ev(x, y), down.ev(x, y)])
 
 
 def _splines(camera: Camera) -> tuple[RectBivariateSpline, RectBivariateSpline]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 BLOCK_PX, SQUARE_PX, NUM_TILES = 8, 16, 8
 EDGE_LEVELS, RARE = 10, 1000
+NUM_PIECES, NUM_COLUMNS = 8, 160
 
 
 def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
@@ -38,7 +39,24 @@ def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
         "num_other_edges": other_edges,
         "num_rows": len(rows[0]),
         "num_repeated_rows": np.count_nonzero((rows[0] == rows[1]).all(axis=1)),
+        "share_flat_rows": share_flat(now, 1),
+        "share_flat_pieces": share_flat(now, NUM_PIECES if now.shape[1] >= NUM_PIECES else 1),
+        "pair_ratios": pair_ratios(now),
     }
+
+
+def share_flat(image: NDArray[Any], num_pieces: int) -> float:
+    """Of every eighth row, cut into so many pieces, the share of pieces with a single value."""
+    borders = np.arange(num_pieces + 1) * image.shape[1] // num_pieces
+    pieces = [row[a:b] for row in image[BLOCK_PX // 2 :: BLOCK_PX] for a, b in itertools.pairwise(borders)]
+    return float(np.mean([len(set(piece.tolist())) == 1 for piece in pieces])) if pieces else 0.0
+
+
+def pair_ratios(image: NDArray[Any]) -> NDArray[np.float64]:
+    """By absolute and squared differences, those within pairs of rows over those between, and the reverse."""
+    steps = np.abs(np.diff(image[:, :: max(1, image.shape[1] // NUM_COLUMNS)].astype(np.int64), axis=0))
+    within, between = (np.array([part.sum(), np.square(part).sum()]) + 1.0 for part in (steps[::2], steps[1::2]))
+    return np.stack([within / between, between / within], axis=1)
 
 
 def num_edges(change: NDArray[np.int64], first_px: int, unit: int) -> int:

@@ -12,18 +12,33 @@ import foreglow._native as _native
 from foreglow.beam.image_change import ImageComparer
 from tests.beam.image_change_reference import reference_change
 
-SIZES = [(1, 1), (1, 40), (40, 1), (7, 9), (8, 8), (9, 17), (16, 16), (17, 33), (64, 48), (97, 131), (250, 300)]
+SIZES = [
+    (1, 1),
+    (1, 40),
+    (40, 1),
+    (7, 9),
+    (8, 8),
+    (9, 17),
+    (16, 16),
+    (17, 33),
+    (64, 48),
+    (97, 131),
+    (250, 300),
+    (50, 700),
+]
 
 
 def images(shape: tuple[int, int], dtype: Any, seed: int) -> list[Any]:
-    """Noise, noise with one square that is brighter, rows that repeat, black, and white."""
+    """Noise, noise with one square that is brighter, rows that repeat, a flat corner, black, and white."""
     rng = np.random.default_rng(seed)
     top = np.iinfo(dtype).max
     noise = rng.integers(0, top // 8, shape).astype(dtype)
     square = noise.copy()
     square[16:32, 16:48] += top // 10
     repeated = np.repeat(noise[::2], 2, axis=0)[: shape[0]]
-    return [noise, square, repeated, square, np.zeros(shape, dtype), np.full(shape, top, dtype), noise]
+    corner = noise.copy()
+    corner[: shape[0] // 2, : shape[1] // 2] = top
+    return [noise, square, repeated, corner, square, np.zeros(shape, dtype), np.full(shape, top, dtype), noise]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -48,6 +63,7 @@ def test_any_strides_and_neither_size_nor_type_compared_with_another() -> None:
         assert (found is None) == (expected is None)
         if found is not None and expected is not None:
             np.testing.assert_equal(found.tile_shares, expected.tile_shares)
+            np.testing.assert_equal(found.pair_ratios, expected.pair_ratios)
             assert found.share_new_edges == expected.share_new_edges
     assert comparer.compare(first[:96]) is None
     assert comparer.compare(first[:96].astype(np.uint8)) is None

@@ -21,6 +21,10 @@ struct ImageChange {
     std::int64_t num_rows = 0, num_repeated_rows = 0;  // rows looked at, and those that repeat
     // Of each tile, row by row, the share of its samples that are not as before; 1 where a tile has none.
     std::array<double, num_change_tiles * num_change_tiles> tiles{};
+    double share_flat_rows = 0.0, share_flat_pieces = 0.0;  // of one value; pieces are eighths of a row
+    // How much the rows of pairs differ over how much neighbouring pairs do, plus 1 each: by absolute and by squared
+    // differences; of pairs that begin with an even and with an odd row.
+    std::array<double, 4> pair_ratios{};
 };
 
 // Compares each image with the one before, of which it keeps a digest of 1 / 16 of its pixels. One object a thread.
@@ -28,7 +32,8 @@ struct ImageChange {
 // Blocks have 8 x 8 pixels; what is left over at the right and at the bottom is ignored, and an image that is smaller
 // than a block is one. From each block one pixel is compared, too. An edge is a segment of 16 pixels between two
 // squares of 16 x 16, across which the change differs by more than 10 grey levels in the mean. A row repeats if it is
-// the same as the one below; every eighth one is looked at.
+// the same as the one below; every eighth one is looked at. Every eighth row, the fifth one first, is looked at for
+// being flat, and in pairs of rows about 160 columns.
 class ImageComparer {
 public:
     // Returns whether there was an image before, of the same size and type; only then `change` is written.
@@ -49,7 +54,7 @@ private:
     };
 
     template <typename Pixel>
-    void digest(const ImageView& image);
+    void digest(const ImageView& image, ImageChange& change);
 
     Digest before_, now_;
     std::vector<std::uint32_t> changes_;

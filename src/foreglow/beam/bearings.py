@@ -104,17 +104,18 @@ class Bearings:
             tracks.boxes_xyxy_px[:, ::2].tolist(),
             strict=True,
         )
-        leaving_px = LEAVING_S * frame.camera.focal_px[0]
+        leaving_px, width_px = LEAVING_S * frame.camera.focal_px[0], frame.width_px
+        x, y, _ = frame.camera.vehicle_from_camera.position_m.tolist()
         for track_id, azimuth, elevation, half, range_m, sigma_m, direct, is_lamp, vehicle, confidence, *others in rows:
             is_plausible, (x1, x2) = others
             before, rate = known.get(track_id), 0.0
-            azimuth, range_m = _from_origin(frame.camera, azimuth, range_m)
+            azimuth, range_m = _from_origin(x, y, azimuth, range_m)
             if before is not None:
                 rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
                     rate += RATE_GAIN * ((azimuth - before.azimuth_rad) / step_s - rate)  # (2)
             shift_px = leaving_px * rate
-            is_leaving = x1 - max(shift_px, 0.0) <= 0.0 or x2 - min(shift_px, 0.0) >= frame.width_px
+            is_leaving = x1 - max(shift_px, 0.0) <= 0.0 or x2 - min(shift_px, 0.0) >= width_px
             self._bearings[track_id] = Bearing(
                 azimuth_rad=azimuth,
                 elevation_rad=elevation,
@@ -154,10 +155,9 @@ def _confidences(tracks: Tracks) -> Floats:
     return confidences
 
 
-def _from_origin(camera: Camera, azimuth_rad: float, range_m: float) -> tuple[float, float]:
-    """Azimuth and range from the vehicle's origin, by (1); unchanged where the range is unknown."""
+def _from_origin(x: float, y: float, azimuth_rad: float, range_m: float) -> tuple[float, float]:
+    """Azimuth and range from the vehicle's origin, by (1), of a camera at (x, y); unchanged if the range is unknown."""
     if math.isnan(range_m):
         return azimuth_rad, range_m
-    x, y, _ = camera.vehicle_from_camera.position_m.tolist()
     forward, left = x + range_m * math.cos(azimuth_rad), y + range_m * math.sin(azimuth_rad)
     return math.atan2(left, forward), math.hypot(forward, left)

@@ -53,7 +53,8 @@ class Dimmer:
             led_limit_lx: E, the illuminance that a single LED may give in a gap.
         """
         self._limit_lx = led_limit_lx
-        self._lamps_m = [lamp.vehicle_from_lamp.position_m for lamp in (headlamps.left, headlamps.right)]
+        lamps = (headlamps.left, headlamps.right)
+        self._lamps_m = [lamp.vehicle_from_lamp.position_m[:2].tolist() for lamp in lamps]
         self._azimuths = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD)
         elevations = np.linspace(LOWEST_RAD, HIGHEST_RAD, 10)
         azimuth, elevation = (grid.ravel() for grid in np.meshgrid(self._azimuths, elevations, indexing="ij"))
@@ -74,12 +75,13 @@ class Dimmer:
         levels = np.ones((2, self.num_leds))
         for gap in gaps:
             limit_cd = self._limit_lx * min(gap.near_m, FARTHEST_M) ** 2
-            for lamp, lamp_m in enumerate(self._lamps_m):
-                right, left = _seen_from(lamp_m, gap)
-                first = max(math.floor((right + REACH_RAD) / STEP_RAD), 0)
-                last = min(math.ceil((left + REACH_RAD) / STEP_RAD), len(self._azimuths) - 1)
+            ends_m = _ends_m(gap)
+            for lamp, (x, y) in enumerate(self._lamps_m):
+                borders = [math.atan2(left_m - y, forward_m - x) for forward_m, left_m in ends_m]  # (1)
+                first = max(math.floor((min(borders) + REACH_RAD) / STEP_RAD), 0)
+                last = min(math.ceil((max(borders) + REACH_RAD) / STEP_RAD), len(self._azimuths) - 1)
                 if first <= last:
-                    allowed = limit_cd * self._per_cd[lamp, first : last + 1].min(axis=0)  # (2)
+                    allowed = limit_cd * np.minimum.reduce(self._per_cd[lamp, first : last + 1])  # (2)
                     np.minimum(levels[lamp], allowed, out=levels[lamp])
         return levels
 
@@ -116,12 +118,7 @@ class Ramp:
         return self._levels
 
 
-def _seen_from(lamp_m: Floats, gap: Gap) -> tuple[float, float]:
-    """Right and left border of `gap` as seen from a lamp, for any range within the gap's."""
-    x, y, _ = lamp_m.tolist()
-    borders = [
-        math.atan2(range_m * math.sin(azimuth) - y, range_m * math.cos(azimuth) - x)  # (1)
-        for azimuth in gap[:2]
-        for range_m in (min(gap.near_m, FAR_M), min(gap.far_m, FAR_M))
-    ]
-    return min(borders), max(borders)
+def _ends_m(gap: Gap) -> list[tuple[float, float]]:
+    """Where the borders of `gap` begin and end, at r1 and r2: forward and left in the vehicle's frame."""
+    ranges_m = {min(gap.near_m, FAR_M), min(gap.far_m, FAR_M)}  # often one and the same
+    return [(range_m * math.cos(border), range_m * math.sin(border)) for border in gap[:2] for range_m in ranges_m]

@@ -197,8 +197,10 @@ def dimmed(levels: Floats, bounds_cd: NDArray[np.float32], limits_cd: Floats) ->
            [900., 100.,   1.]])
     """
     shining_cd = levels * bounds_cd
-    if not (np.add.reduce(shining_cd, axis=-1) > limits_cd[:, np.newaxis]).any():
+    is_over = (np.add.reduce(shining_cd, axis=-1) > limits_cd[:, np.newaxis]).any(axis=1)
+    if not is_over.any():
         return levels
+    shining_cd, bounds_cd, limits_cd = shining_cd[is_over], bounds_cd[is_over], limits_cd[is_over]
     shining_cd.sort(axis=-1)
     fainter_cd = np.add.accumulate(shining_cd, axis=-1) - shining_cd  # S_j
     num_brighter = np.arange(shining_cd.shape[-1], 0, -1)  # L - j

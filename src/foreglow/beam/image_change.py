@@ -20,12 +20,6 @@ from foreglow.types import Image
 GRID_PX = 16
 """Video encoders code squares of this size (H.264's macroblock; H.265's and MJPEG's units are multiples or halves)."""
 
-NUM_PIECES = 8
-"""Into so many pieces a row is cut, to see whether one is flat."""
-
-NUM_COLUMNS = 160
-"""About so many columns are compared from row to row."""
-
 
 @dataclass(frozen=True, slots=True)
 class ImageChange:
@@ -74,34 +68,15 @@ class ImageComparer:
         change = self._comparer.compare(adjacent)
         if change is None:
             return None
-        share_flat_rows, share_flat_pieces = _flat_shares(adjacent)
         num_new = change.num_edges - change.num_other_edges
         return ImageChange(
             strongest=change.strongest,
             share_changed=change.num_changed / change.num_samples,
             tile_shares=change.tiles,
             share_repeated=change.num_repeated_rows / max(1, change.num_rows),
-            share_flat_rows=share_flat_rows,
-            share_flat_pieces=share_flat_pieces,
-            pair_ratios=_pair_ratios(adjacent),
+            share_flat_rows=change.share_flat_rows,
+            share_flat_pieces=change.share_flat_pieces,
+            pair_ratios=change.pair_ratios,
             share_new_edges=num_new / max(1, image.size // GRID_PX**2),
             edge_deviations=num_new / math.sqrt(max(1, change.num_edges + change.num_other_edges)),
         )
-
-
-def _flat_shares(image: Image) -> tuple[float, float]:
-    """Shares of every eighth row, and of eighths of these rows, in which all pixels have one value."""
-    rows, width = image[4::8], image.shape[1]
-    if not len(rows):
-        return 0.0, 0.0
-    starts = np.arange(NUM_PIECES if width >= NUM_PIECES else 1) * width // NUM_PIECES
-    greatest, least = np.maximum.reduceat(rows, starts, axis=1), np.minimum.reduceat(rows, starts, axis=1)
-    is_flat_row = greatest.max(axis=1) == least.min(axis=1)
-    return float(np.mean(is_flat_row)), float(np.mean(greatest == least))
-
-
-def _pair_ratios(image: Image) -> NDArray[np.float64]:
-    columns = image[:, :: max(1, image.shape[1] // NUM_COLUMNS)].astype(np.float32)
-    steps = np.abs(np.diff(columns, axis=0))
-    within, between = (np.array([part.sum(), np.vdot(part, part)]) + 1.0 for part in (steps[::2], steps[1::2]))
-    return np.stack([within / between, between / within], axis=1)

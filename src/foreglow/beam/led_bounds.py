@@ -95,26 +95,28 @@ class LedBounds:
                 f"{ELEVATIONS_DEG[0]:.0f} to {ELEVATIONS_DEG[-1]:.0f} degrees in height"
             )
         self.num_leds = corners.shape[-1]
-        self._tables = [_greatest_of_four(corners)]
+        tables = [_greatest_of_four(corners)]
         for _ in range(NUM_LEVELS - 1):
-            self._tables.append(_halved(self._tables[-1]))
+            tables.append(_halved(tables[-1]))
+        # By level and lamp, each of shape (E, A, L): what (3) reads lies side by side.
+        self._tables = [[np.ascontiguousarray(table[:, :, lamp]) for lamp in range(2)] for table in tables]
+        num_rows, num_columns = tables[0].shape[:2]
+        self._firsts_deg = np.repeat([AZIMUTHS_DEG[0], ELEVATIONS_DEG[0]], 2)
+        self._last_cells = np.repeat([num_columns - 1, num_rows - 1], 2)
 
     def towards(self, spans_rad: Floats) -> NDArray[np.float32]:
         """The bounds in cd, shape (M, 2, L), of spans as `Sightlines.spans_rad` makes them, shape (M, 2, 4)."""
         bounds = np.zeros((len(spans_rad), 2, self.num_leds), np.float32)
-        table = self._tables[0]
-        first = np.array([AZIMUTHS_DEG[0], AZIMUTHS_DEG[0], ELEVATIONS_DEG[0], ELEVATIONS_DEG[0]])
-        last = np.array([table.shape[1], table.shape[1], table.shape[0], table.shape[0]]) - 1
-        steps = np.floor((np.degrees(spans_rad) - first) / STEP_DEG)
-        cells = np.minimum(np.maximum(steps, 0), last).astype(np.intp).tolist()
+        steps = np.floor((np.degrees(spans_rad) - self._firsts_deg) / STEP_DEG)
+        cells = np.minimum(np.maximum(steps, 0), self._last_cells).astype(np.intp).tolist()
         for index, spans in enumerate(cells):
             for lamp, (a1, a2, e1, e2) in enumerate(spans):
                 level = 0
                 while max((a2 >> level) - (a1 >> level), (e2 >> level) - (e1 >> level)) >= MAX_NUM_CELLS:
                     level += 1
                 rows, columns = slice(e1 >> level, (e2 >> level) + 1), slice(a1 >> level, (a2 >> level) + 1)
-                table = self._tables[level][rows, columns, lamp]
-                np.maximum.reduce(table, axis=(0, 1), out=bounds[index, lamp])  # (3)
+                touched = self._tables[level][lamp][rows, columns]
+                np.maximum.reduce(touched, axis=(0, 1), out=bounds[index, lamp])  # (3)
         return bounds
 
 

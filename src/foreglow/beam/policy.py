@@ -189,8 +189,12 @@ class ForeglowPolicy(BeamPolicy):
         lamps = {track_id: bearing for track_id, bearing in acted.items() if bearing.is_lamp}
         passed = {track_id for track_id, bearing in self._lamps.items() if bearing.is_leaving and track_id not in lamps}
         self._explain(now_ns, lamps, passed, bearings)
+        certain_rad: dict[int, list[float]] = {}  # of each vehicle, azimuths of the lamps that are certain
+        for bearing in lamps.values():
+            if bearing.vehicle != NO_VEHICLE and bearing.direct > SURE_DIRECT:
+                certain_rad.setdefault(bearing.vehicle, []).append(bearing.azimuth_rad)
         self._held = {
-            track_id: _Held(now_ns, bearing.vehicle, self._lamp_gap(bearing, lamps.values()))
+            track_id: _Held(now_ns, bearing.vehicle, self._lamp_gap(bearing, certain_rad.get(bearing.vehicle, ())))
             for track_id, bearing in lamps.items()
         }
         unexplained = {track_id: bearing for track_id, bearing in acted.items() if track_id not in self._explained_ns}
@@ -201,11 +205,10 @@ class ForeglowPolicy(BeamPolicy):
                 believed = self._questions.believed(now_ns, unexplained, is_open=is_open)
                 self._dips = [self._light_gap(bearing) for bearing in self._questions.dipped(now_ns, bearings)]
                 unexplained = believed
-        in_sight = {bearing.vehicle for bearing in lamps.values() if bearing.direct > SURE_DIRECT} - {NO_VEHICLE}
         for vehicle, key, gap in self._hidden_gaps(frame, unexplained):
             self._held[key] = _Held(now_ns, vehicle, gap)
         for key, before in held.items():
-            is_over = key in passed or before.vehicle in in_sight
+            is_over = key in passed or before.vehicle in certain_rad
             if key not in self._held and not is_over and 0 <= now_ns - before.since_ns <= self._hold_ns:
                 self._held[key] = before
         return [kept.gap for kept in self._held.values()]
@@ -236,18 +239,21 @@ class ForeglowPolicy(BeamPolicy):
         """Whether a track that looks like a lamp must be light on the road."""
         return bearing.is_lamp and bearing.elevation_rad < LOWEST_LAMP_RAD
 
-    def _lamp_gap(self, bearing: Bearing, lamps: Collection[Bearing]) -> Gap:
-        """The gap that holds the vehicle of a lamp: less on the outside where its other lamp is among `lamps`."""
+    def _lamp_gap(self, bearing: Bearing, certain_rad: Collection[float]) -> Gap:
+        """The gap that holds the vehicle of a lamp: less on the outside where its other lamp is certain.
+
+        Args:
+            bearing: The lamp.
+            certain_rad: Azimuths of all lamps of its vehicle that are certain.
+        """
         near_m, far_m = _bounds_m(bearing)
         vehicle_rad, outside_rad = math.atan2(VEHICLE_M, near_m), math.atan2(OUTSIDE_M, near_m)
         right_rad = left_rad = vehicle_rad
-        if bearing.vehicle != NO_VEHICLE:
-            others = [lamp for lamp in lamps if lamp.vehicle == bearing.vehicle and lamp.direct > SURE_DIRECT]
-            apart_rad = [lamp.azimuth_rad - bearing.azimuth_rad for lamp in others]
-            is_right = any(outside_rad <= apart <= 2.0 * vehicle_rad for apart in apart_rad)
-            is_left = any(outside_rad <= -apart <= 2.0 * vehicle_rad for apart in apart_rad)
-            if is_right != is_left:
-                right_rad, left_rad = (outside_rad, vehicle_rad) if is_right else (vehicle_rad, outside_rad)
+        apart_rad = [azimuth_rad - bearing.azimuth_rad for azimuth_rad in certain_rad]
+        is_right = any(outside_rad <= apart <= 2.0 * vehicle_rad for apart in apart_rad)
+        is_left = any(outside_rad <= -apart <= 2.0 * vehicle_rad for apart in apart_rad)
+        if is_right != is_left:
+            right_rad, left_rad = (outside_rad, vehicle_rad) if is_right else (vehicle_rad, outside_rad)
         edge_rad = 2.0 * BOX_SHARE * bearing.half_width_rad + self._margin_rad
         lead_rad = bearing.rate_radps * self._config.latency_s
         return Gap(

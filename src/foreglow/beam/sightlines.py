@@ -8,7 +8,7 @@ from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster
 
-_CORNERS = ((0, 1), (2, 1), (0, 3), (2, 3))
+_CORNERS = np.array([(0, 1), (2, 1), (0, 3), (2, 3)])
 """Indices of x and y of each corner in a box x1, y1, x2, y2."""
 
 

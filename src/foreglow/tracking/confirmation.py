@@ -54,7 +54,8 @@ def scores_with_ranges(scores: Floats, ranges_m: Floats, weight: float) -> Float
     >>> scores_with_ranges(np.array([0.5, 0.5, 0.5, 1.0]), np.array([35.0, 70.0, np.nan, 35.0]), 1.0).round(3).tolist()
     [0.333, 0.5, 0.5, 1.0]
     """
-    factors = (np.where(np.isnan(ranges_m), NEUTRAL_RANGE_M, np.clip(ranges_m, *RANGES_M)) / NEUTRAL_RANGE_M) ** weight
+    limited_m = np.minimum(np.maximum(ranges_m, RANGES_M[0]), RANGES_M[1])
+    factors = (np.where(np.isnan(ranges_m), NEUTRAL_RANGE_M, limited_m) / NEUTRAL_RANGE_M) ** weight
     return np.asarray(scores * factors / (scores * factors + (1.0 - scores)))  # (5)
 
 

@@ -36,15 +36,23 @@ class Measurements:
 
     def taken(self, assigned: Assignment) -> Measurements:
         """The measurement assigned to each track; NaN and the index -1 for a track without one."""
-        nothing = np.full((1, NUM_CHANNELS), np.nan)
-        unknown = np.full((1, len(LIGHT_KINDS)), np.nan)
         return Measurements(  # index -1 picks the row that is appended
-            np.concatenate([self.values, nothing])[assigned],
-            np.append(self.sigmas_m, np.nan)[assigned],
-            np.append(self.scores, np.nan)[assigned],
-            np.concatenate([self.light_kinds, unknown])[assigned],
-            np.append(self.detections, UNASSIGNED)[assigned],
+            np.concatenate([self.values, _NOTHING.values])[assigned],
+            np.concatenate([self.sigmas_m, _NOTHING.sigmas_m])[assigned],
+            np.concatenate([self.scores, _NOTHING.scores])[assigned],
+            np.concatenate([self.light_kinds, _NOTHING.light_kinds])[assigned],
+            np.concatenate([self.detections, _NOTHING.detections])[assigned],
         )
+
+
+_NOTHING = Measurements(
+    values=np.full((1, NUM_CHANNELS), np.nan),
+    sigmas_m=np.full(1, np.nan),
+    scores=np.full(1, np.nan),
+    light_kinds=np.full((1, len(LIGHT_KINDS)), np.nan),
+    detections=np.full(1, UNASSIGNED),
+)
+"""The measurement of a track without one."""
 
 
 def measurements(detections: Detections, ranges: Ranges | None, min_score: float) -> Measurements:

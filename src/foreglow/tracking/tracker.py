@@ -76,7 +76,7 @@ class AlphaBetaTracker(Tracker):
         self._states = self._born(0)
         if self._vehicles is not None:
             self._vehicles.reset()
-        self._tracks = self._as_tracks(self._states, None)
+        self._tracks = self._as_tracks(self._states, corners(self._states.values), None)
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         """The tracks after `frame`; of the frame only its time, size, camera and motion are used."""
@@ -108,11 +108,13 @@ class AlphaBetaTracker(Tracker):
         if self._vehicles is None:
             self._confirm(scores)
         self._end(frame)
-        vehicles = None
+        states, vehicles = self._states, None
+        boxes_xyxy_px = corners(states.values)
         if self._vehicles is not None:
-            states = self._states
-            states.is_plausible, vehicles = self._vehicles.update(self._now_s, states, scores[states.detections])
-        self._tracks = self._as_tracks(self._states, vehicles)
+            states.is_plausible, vehicles = self._vehicles.update(
+                self._now_s, states, boxes_xyxy_px, scores[states.detections]
+            )
+        self._tracks = self._as_tracks(states, boxes_xyxy_px, vehicles)
         return self._tracks
 
     def _is_again(self, frame: Frame, detections: Detections) -> bool:
@@ -227,7 +229,7 @@ class AlphaBetaTracker(Tracker):
         x, y = states.values[:, 0], states.values[:, 1]
         is_outside = (x < 0) | (y < 0) | (x >= frame.width_px) | (y >= frame.height_px)
         is_over = (states.missing_s > self._max_missing_s) | (is_outside & (states.num_misses > 0))
-        if self._config.merge_iou < 1.0 and len(states) > 1:
+        if self._config.merge_iou < 1.0 and states.num_misses.any():  # two that were detected are no duplicates
             overlap = self._overlaps(states.values, states.sigmas_m)
             is_over |= is_duplicate(overlap, states.num_misses == 0, states.num_hits, self._config.merge_iou)
         if len(states) > MAX_TRACKS:
@@ -236,7 +238,7 @@ class AlphaBetaTracker(Tracker):
         if is_over.any():
             self._states = states.where(~is_over)
 
-    def _as_tracks(self, states: TrackStates, vehicles: Vehicles | None) -> Tracks:
+    def _as_tracks(self, states: TrackStates, boxes_xyxy_px: Floats, vehicles: Vehicles | None) -> Tracks:
         seen = np.where(states.num_misses > 0, TrackState.COASTING, TrackState.CONFIRMED)
         ranges_m, sigmas_m = states.values[:, RANGE], states.sigmas_m
         if self._num_ranges:
@@ -247,7 +249,7 @@ class AlphaBetaTracker(Tracker):
         return Tracks(
             ids=states.ids,
             states=np.where(states.is_plausible, seen, TrackState.TENTATIVE),
-            boxes_xyxy_px=corners(states.values),
+            boxes_xyxy_px=boxes_xyxy_px,
             confidences=states.confidences,
             num_hits=states.num_hits,
             num_misses=states.num_misses,

@@ -25,7 +25,6 @@ from scipy.sparse.csgraph import connected_components
 from foreglow.config import TrackerConfig
 from foreglow.geometry import Floats
 from foreglow.tracking.alpha_beta import moving_mean
-from foreglow.tracking.association import corners
 from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
 from foreglow.tracking.states import RANGE, TrackStates
 from foreglow.types import TrackState, Vehicles
@@ -102,15 +101,18 @@ class VehicleGroups:
         self._lights = _Lights(none, none, np.zeros((0, 4)), np.zeros(0))
         self._states = _unseen(none, self._rule.memory_size)
 
-    def update(self, now_s: float, tracks: TrackStates, scores: Floats) -> tuple[NDArray[np.bool_], Vehicles]:
+    def update(
+        self, now_s: float, tracks: TrackStates, boxes_xyxy_px: Floats, scores: Floats
+    ) -> tuple[NDArray[np.bool_], Vehicles]:
         """Which tracks are plausible, shape (M,), and their vehicles, after this frame.
 
         Args:
             now_s: The time of the frame; ascending.
             tracks: Those of the frame.
+            boxes_xyxy_px: Shape (M, 4), their boxes.
             scores: Shape (M,), of their detections, as evidence; NaN where a track was missed.
         """
-        vehicle_ids = self._vehicles_of(now_s, tracks.ids, corners(tracks.values))
+        vehicle_ids = self._vehicles_of(now_s, tracks.ids, boxes_xyxy_px)
         states = self._states
         vehicles = states.ids.searchsorted(vehicle_ids)
         best = np.full(len(states.ids), np.nan)
@@ -190,7 +192,8 @@ def _leading(
     nearness = np.where(is_lamp, -ranges_m, ranges_m)
     order = np.lexsort((nearness, ~np.isnan(ranges_m), is_lamp, is_light, vehicles))
     is_last = np.ones(len(order), np.bool_)
-    is_last[:-1] = np.diff(vehicles[order]) > 0
+    of_vehicle = vehicles[order]
+    is_last[:-1] = of_vehicle[1:] > of_vehicle[:-1]
     return order[is_last]
 
 

@@ -61,7 +61,8 @@ class BeamCommand(Value):
             raise ValueError(
                 f"BeamCommand.gaps_rad: expected shape (G, 2) and G ranges, got {gaps.shape} and {ranges_m.shape}"
             )
-        if not (np.diff(gaps.ravel()) > 0).all() or not np.isfinite(gaps).all():
+        borders = gaps.ravel()
+        if not (borders[1:] > borders[:-1]).all() or not np.isfinite(gaps).all():
             raise ValueError(f"BeamCommand.gaps_rad: expected borders in order and apart, got {gaps.tolist()}")
         if self.mode == BeamMode.LOW and (len(gaps) or levels.any()):
             raise ValueError("BeamCommand.levels: expected 0 everywhere, and no gaps, with low beam")

@@ -100,7 +100,8 @@ def checked_kinds(field: str, light_kinds: NDArray[Any], count: int, dtype: type
             f"{light_kinds.dtype} of shape {light_kinds.shape}"
         )
     is_fit = (light_kinds.min(axis=1) >= 0) & (np.abs(light_kinds.sum(axis=1) - 1) <= _TOLERANCE)
-    is_fit |= np.isnan(light_kinds).all(axis=1)
+    if not is_fit.all():
+        is_fit |= np.isnan(light_kinds).all(axis=1)
     if not is_fit.all():
         row = light_kinds[~is_fit][0].tolist()
         raise ValueError(f"{field}: expected NaN or probabilities with the sum 1 in each row, got {row}")

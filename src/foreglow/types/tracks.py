@@ -72,8 +72,7 @@ class Tracks(Value):
             shape = (count, 4) if name == "boxes_xyxy_px" else (count,)
             if array.shape != shape or array.dtype != dtype:
                 raise ValueError(
-                    f"Tracks.{name}: expected {np.dtype(dtype).name} of shape {shape}, got {array.dtype} of shape "
-                    f"{array.shape}"
+                    f"Tracks.{name}: expected {dtype.name} of shape {shape}, got {array.dtype} of shape {array.shape}"
                 )
             object.__setattr__(self, name, frozen_view(array))
         light_kinds = checked_kinds("Tracks.light_kinds", self.light_kinds, count, np.float64)
@@ -100,7 +99,7 @@ class Tracks(Value):
     @property
     def is_plausible(self) -> NDArray[np.bool_]:
         """Shape (M,): which tracks may be acted on, confirmed or coasting."""
-        return np.asarray(self.states != TrackState.TENTATIVE)
+        return np.asarray(self.states != _TENTATIVE)
 
     @property
     def kind_names(self) -> tuple[str | None, ...]:
@@ -113,18 +112,21 @@ class Tracks(Value):
         return direct_of_kinds(self.light_kinds)
 
 
-_TRACK_DTYPES: Mapping[str, type[np.generic]] = MappingProxyType(
+_TENTATIVE = int(TrackState.TENTATIVE)
+"""A plain number: NumPy takes several times as long to compare with an enum's member."""
+
+_TRACK_DTYPES: Mapping[str, np.dtype[np.generic]] = MappingProxyType(
     {
-        "ids": np.int64,
-        "states": np.int64,
-        "boxes_xyxy_px": np.float64,
-        "confidences": np.float64,
-        "num_hits": np.int64,
-        "num_misses": np.int64,
-        "ages_s": np.float64,
-        "ranges_m": np.float64,
-        "sigmas_m": np.float64,
-        "detections": np.int64,
+        "ids": np.dtype(np.int64),
+        "states": np.dtype(np.int64),
+        "boxes_xyxy_px": np.dtype(np.float64),
+        "confidences": np.dtype(np.float64),
+        "num_hits": np.dtype(np.int64),
+        "num_misses": np.dtype(np.int64),
+        "ages_s": np.dtype(np.float64),
+        "ranges_m": np.dtype(np.float64),
+        "sigmas_m": np.dtype(np.float64),
+        "detections": np.dtype(np.int64),
     }
 )
 

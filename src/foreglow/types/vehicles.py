@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from foreglow.types.arrays import Value, frozen_view
 
-_DTYPES = {"ids": np.int64, "states": np.int64, "confidences": np.float64, "is_in_sight": np.bool_, "leading": np.int64}
+_DTYPES = {
+    "ids": np.dtype(np.int64),
+    "states": np.dtype(np.int64),
+    "confidences": np.dtype(np.float64),
+    "is_in_sight": np.dtype(np.bool_),
+    "leading": np.dtype(np.int64),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +49,8 @@ class Vehicles(Value):
             array = getattr(self, name)
             if array.shape != (count,) or array.dtype != dtype:
                 raise ValueError(
-                    f"Vehicles.{name}: expected {np.dtype(dtype).name} of shape {(count,)}, got {array.dtype} of "
-                    f"shape {array.shape}"
+                    f"Vehicles.{name}: expected {dtype.name} of shape {(count,)}, "
+                    f"got {array.dtype} of shape {array.shape}"
                 )
             object.__setattr__(self, name, frozen_view(array))
         if not (self.ids[1:] > self.ids[:-1]).all():

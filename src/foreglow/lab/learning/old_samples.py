@@ -41,7 +41,7 @@ WIDEST = RECIPES["foreglow"].inputs
 LIT_SHARE = 0.75
 """Of the samples that are mixed in, those of images with light of vehicles."""
 
-NUM_JUDGING = {True: 26, False: 12}
+NUM_JUDGING = {True: 20, False: 9}
 """Images of each camera that judge, with light of vehicles and without."""
 
 _QUALITY = 80  # of WebP: 2 grey levels off on average, at 0.5 kB a sample
