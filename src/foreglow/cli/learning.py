@@ -164,7 +164,7 @@ def train(
         list[Path] | None,
         file("With --from: drives to mix in instead of the samples that ship; repeatable.", "--mix", metavar="DATA"),
     ] = None,
-    recipe: Annotated[str, option("paper|foreglow", "How to train, and which network.")] = "foreglow",
+    recipe: Annotated[str, option("NAME", "How to train, and which network: paper, foreglow or related.")] = "foreglow",
     recipe_file: Annotated[Path | None, file("TOML file whose fields override the recipe.")] = None,
     epochs: Annotated[int | None, option("N", "Train for at most N epochs.", min=1)] = None,
     patience: PatienceOption = None,
@@ -178,7 +178,7 @@ def train(
     ] = None,
     preset: Annotated[
         str | None,
-        option("NAME", "Preset of the proposals (default: the name of the model that ships, or the recipe's)."),
+        option("NAME", "Preset of the proposals (default: paper with the recipe paper, else foreglow)."),
     ] = None,
     config: ConfigOption = None,
     device: DeviceOption = "auto",
@@ -195,7 +195,7 @@ def train(
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
     if from_ is not None and recipe != "foreglow":
         raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
-    chosen_preset = preset or (str(from_) if str(from_) in PRESETS else recipe)
+    chosen_preset = preset or (str(from_) if str(from_) in PRESETS else recipe if recipe in PRESETS else "foreglow")
     configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
     if from_ is not None and config is None:
         _check_boxes(from_, configuration)

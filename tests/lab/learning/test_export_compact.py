@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foreglow.classifier import FEATURES, InputSpec, OnnxClassifier
+from foreglow.classifier import InputSpec, OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.types import KINDS, Frame, Proposals
 
@@ -25,7 +25,7 @@ from foreglow.lab.learning.scores import Calibrator  # noqa: E402
 
 pytestmark = pytest.mark.torch
 
-SPEC = InputSpec(32, 2, 0.25, len(FEATURES))
+SPEC = InputSpec(32, 2, 0.25, 9)
 
 
 def network(seed: int = 0, num_outputs: int = 1) -> CompactNetwork:

@@ -176,6 +176,6 @@ def test_a_recipe_that_tells_a_network_too_little_is_refused() -> None:
         ({"inputs": {"together": False}}, "true with the network related"),
     ):
         with pytest.raises(ValueError, match=f"inputs.together: expected {words}"):
-            changed(RECIPES["foreglow"], fields)
+            changed(RECIPES["related"], fields)
     with pytest.raises(ValueError, match=r"max_negatives_per_positive: expected none where inputs\.together"):
-        changed(RECIPES["foreglow"], {"max_negatives_per_positive": 2.0})
+        changed(RECIPES["related"], {"max_negatives_per_positive": 2.0})

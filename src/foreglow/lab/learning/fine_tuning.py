@@ -140,9 +140,9 @@ def box_figures(
 
 def fine_tuning_recipe(start: StartingPoint) -> Recipe:
     """The recipe for going on from a model."""
-    network = "related" if start.inputs.together else "compact"
+    base = RECIPES["related" if start.inputs.together else "foreglow"]
     inputs = dataclasses.asdict(start.inputs)
-    return changed(RECIPES["foreglow"], FINE_TUNING | {"network": network, "inputs": inputs, "kinds": start.has_kinds})
+    return changed(base, FINE_TUNING | {"inputs": inputs, "kinds": start.has_kinds})
 
 
 def fine_tune(

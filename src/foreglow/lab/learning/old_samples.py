@@ -20,12 +20,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from foreglow.classifier.inputs import InputSpec
 from foreglow.config import preset
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.images import NPY_ERRORS
-from foreglow.datasets.pvdn import is_split
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import RECIPES
 from foreglow.lab.learning.sample_cache import cached_samples
@@ -36,14 +36,16 @@ from foreglow.whole_files import write_atomic
 NUM_SAMPLES = 3000
 
 WIDEST = RECIPES["foreglow"].inputs
-"""What the samples hold: models that read fewer channels or features are given those."""
+"""What the samples hold: models that read fewer channels or features are given those. They are single boxes, of no use
+to a model that compares those of an image."""
 
-LIT_SHARE = 0.75
-"""Of the samples that are mixed in, those of images with light of vehicles."""
+POSITIVE_SHARE = 0.4
+"""Of the samples; there are ten times as many boxes without light, but few of them teach anything."""
 
-NUM_JUDGING = {True: 20, False: 9}
-"""Images of each camera that judge, with light of vehicles and without."""
+NUM_JUDGING = {POSITIVE: 130, NEGATIVE: 220}
+"""Samples of each camera that judge, about: by these and by all boxes of 16 drives, losses differ by up to .005."""
 
+_LEAST_SHARE = 0.05  # added to a score: boxes that look unlike light are drawn as well
 _QUALITY = 80  # of WebP: 2 grey levels off on average, at 0.5 kB a sample
 _COLUMNS = 64
 
@@ -54,7 +56,7 @@ class HeldOut:
 
     Attributes:
         camera: Its name.
-        samples: In whole sets.
+        samples: Without doubtful ones.
         weights: Shape (N,), float32: how many boxes of the drives each stands for.
     """
 
@@ -72,7 +74,7 @@ class OldSamples:
 
 
 def chosen(parts: Sequence[Samples], num_samples: int, seed: int = 0) -> Samples:
-    """About so many samples in whole sets drawn at random, as many of each part, most of images with light.
+    """Samples drawn at random, as many of each part, without doubtful ones.
 
     >>> from foreglow.lab.learning.samples import no_samples
     >>> len(chosen([no_samples(WIDEST)], 10))
@@ -80,36 +82,51 @@ def chosen(parts: Sequence[Samples], num_samples: int, seed: int = 0) -> Samples
     """
     random, drawn = np.random.default_rng(seed), []
     for part in parts:
-        for share, sets in zip((LIT_SHARE, 1 - LIT_SHARE), _lit_and_dark(part), strict=True):
-            sets = random.permutation(sets)
-            counts = np.cumsum([np.count_nonzero(part.sets == number) for number in sets])
-            wanted = sets[: np.searchsorted(counts, share * num_samples / len(parts)) + 1]
-            drawn.append(part[np.isin(part.sets, wanted)])
+        for label, share in ((POSITIVE, POSITIVE_SHARE), (NEGATIVE, 1 - POSITIVE_SHARE)):
+            indices = np.flatnonzero(part.labels == label)
+            count = min(len(indices), round(share * num_samples / len(parts)))
+            drawn.append(part[np.sort(random.choice(indices, count, replace=False))])
     return joined(drawn)
 
 
-def held_out(camera: str, samples: Samples, num: Mapping[bool, int], seed: int = 0) -> HeldOut:
-    """Samples drawn at random, in whole sets, to judge by.
+def held_out(
+    camera: str, samples: Samples, scores: NDArray[np.floating[Any]], num: Mapping[int, int], seed: int = 0
+) -> HeldOut:
+    """Samples drawn at random to judge by; the more a box without light looks like light, the likelier it is drawn.
 
     What is drawn counts as one over its probability, so that figures of a few samples are those of all, on average.
 
     Args:
         camera: Its name.
         samples: All that there are of it.
-        num: How many sets are drawn, with light (True) and without.
+        scores: Shape (N,): how much each looks like light.
+        num: How many are drawn on average, by label.
         seed: Of the draws.
     """
-    random, weights = np.random.default_rng(seed), np.zeros(len(samples), np.float32)
-    for is_lit, sets in zip((True, False), _lit_and_dark(samples), strict=True):
-        wanted = random.choice(sets, min(num[is_lit], len(sets)), replace=False)
-        weights[np.isin(samples.sets, wanted)] = len(sets) / max(1, len(wanted))
-    return HeldOut(camera, samples[weights > 0], weights[weights > 0])
+    shares = np.zeros(len(samples))
+    shares[samples.labels == POSITIVE] = 1.0
+    is_negative = samples.labels == NEGATIVE
+    shares[is_negative] = _LEAST_SHARE + scores[is_negative]
+    random, is_drawn = np.random.default_rng(seed), np.zeros(len(samples), np.bool_)
+    for label, wanted in num.items():
+        here = np.flatnonzero(samples.labels == label)
+        here = here[np.argsort(scores[here], kind="stable")]
+        shares[here] = _probabilities(shares[here], wanted)
+        steps = np.floor(np.cumsum(shares[here]) + random.random())  # so boxes of all scores are drawn
+        is_drawn[here] = np.diff(steps, prepend=0.0) > 0
+    return HeldOut(camera, samples[is_drawn], (1 / shares[is_drawn]).astype(np.float32))
 
 
-def _lit_and_dark(samples: Samples) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The numbers of the sets with light of vehicles, and of those without."""
-    lit = np.unique(samples.sets[samples.labels == POSITIVE])
-    return lit, np.setdiff1d(samples.sets, lit)
+def _probabilities(shares: NDArray[np.float64], wanted: int) -> NDArray[np.float64]:
+    """Probabilities that are proportional to `shares`, but at most 1, and sum to `wanted`, or to N if that is less."""
+    if len(shares) <= wanted:
+        return np.ones(len(shares))
+    is_sure = np.zeros(len(shares), np.bool_)
+    while True:
+        found = np.where(is_sure, 1.0, shares * (wanted - is_sure.sum()) / shares[~is_sure].sum())
+        if (found <= 1.0).all():
+            return found
+        is_sure |= found >= 1.0
 
 
 def write_old_samples(path: Path, old: OldSamples) -> None:
@@ -130,7 +147,7 @@ def write_old_samples(path: Path, old: OldSamples) -> None:
 
 def _packed(name: str, samples: Samples) -> dict[str, Any]:
     encoded = cv2.imencode(".webp", _sheet(samples.crops), [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])[1]
-    arrays: dict[str, Any] = {f"{name}_{field}": getattr(samples, field) for field in ARRAYS}
+    arrays: dict[str, Any] = {f"{name}_{field}": getattr(samples, field) for field in ARRAYS if field != "sets"}
     return arrays | {f"{name}_crops": encoded, f"{name}_features": samples.features.astype(np.float16)}
 
 
@@ -146,7 +163,6 @@ def read_old_samples(path: Path, spec: InputSpec) -> OldSamples:
         num_features=WIDEST.num_features,
         lag_s=WIDEST.lag_s if spec.lag_s is None else spec.lag_s,
         context=WIDEST.context if spec.context is None else spec.context,
-        together=WIDEST.together,
     )
     if given != WIDEST:
         raise ValueError(
@@ -168,7 +184,8 @@ def read_old_samples(path: Path, spec: InputSpec) -> OldSamples:
 
 
 def _unpacked(file: Mapping[str, Any], name: str, spec: InputSpec, digest: str) -> Samples:
-    arrays = {field: file[f"{name}_{field}"] for field in ARRAYS}
+    arrays = {field: file[f"{name}_{field}"] for field in ARRAYS if field != "sets"}
+    arrays["sets"] = np.arange(len(arrays["labels"]), dtype=np.int32)
     sheet: Any = cv2.imdecode(arrays["crops"], cv2.IMREAD_GRAYSCALE)
     arrays["crops"] = _crops(sheet, len(arrays["labels"]))
     arrays["features"] = arrays["features"].astype(np.float32)
@@ -207,27 +224,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from foreglow.display.progress import StepProgress
 
     parser = argparse.ArgumentParser(prog="python -m foreglow.lab.learning.old_samples", description=__doc__)
-    parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets (train is mixed in) or splits")
+    parser.add_argument("data", nargs="+", type=Path, metavar="DATA", help="data sets whose split train is mixed in")
     parser.add_argument(
         "--judge", nargs="+", type=Path, metavar="DATA", required=True, help="... whose split val judges, by camera"
     )
     parser.add_argument("--out", type=Path, default=OLD_SAMPLES, help="the file to write")
     parser.add_argument("--cache", type=Path, required=True, help="where samples are kept, such as those of a training")
     parser.add_argument("--samples", type=int, default=NUM_SAMPLES, metavar="N", help="how many are mixed in")
+    parser.add_argument("--model", type=Path, default=Path("foreglow"), help="says what looks like light")
     given = parser.parse_args(arguments)
     recipe = RECIPES["foreglow"]
     config = SampleConfig(
-        proposals=preset("foreglow").proposals, inputs=recipe.inputs, jitter=recipe.jitter, by_light=recipe.by_light
+        proposals=preset("foreglow").proposals, inputs=WIDEST, jitter=recipe.jitter, by_light=recipe.by_light
     )
     with StepProgress() as progress:
         parts = []
         for data in given.data:
-            split = open_labelled(data if is_split(data) else split_folder(data, "train"))
+            split = open_labelled(split_folder(data, "train"))
             parts.append(cached_samples(split, config, given.cache, progress.of(f"{data}: images")))
         splits: dict[str, list[LabelledSource]] = {}
         for data in given.judge:
             splits.setdefault("/".join(data.parts[-2:]), []).append(open_labelled(split_folder(data, "val")))
-        judge = [judging(camera, found, config, given.cache) for camera, found in splits.items()]
+        judge = [judging(camera, found, config, given.model, given.cache) for camera, found in splits.items()]
     old = OldSamples(chosen(parts, given.samples), tuple(judge))
     write_old_samples(given.out, old)
     counts = [old.learn.num_labelled(label) for label in (POSITIVE, NEGATIVE)]
@@ -238,21 +256,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
 
 
-def judging(camera: str, splits: Sequence[LabelledSource], config: SampleConfig, cache: Path) -> HeldOut:
-    """Samples of a camera's splits to judge by; those in which light is doubtful are labelled so.
+def judging(camera: str, splits: Sequence[LabelledSource], config: SampleConfig, model: Path, cache: Path) -> HeldOut:
+    """Samples of a camera's splits to judge by, drawn with a model's help; without those in which light is doubtful.
 
     Raises:
-        As `cached_samples`.
+        As `cached_samples`, and `model_import.read_model`.
     """
+    import torch
+
+    from foreglow.lab.learning.model_import import read_model
+    from foreglow.lab.learning.scores import light_logits
+    from foreglow.lab.learning.training import score_samples
+
     plain = config.model_copy(update={"jitter": Jitter()})
     parts = []
     for split in splits:
         by_light, by_points = (
             cached_samples(split, plain.model_copy(update={"by_light": each}), cache) for each in (True, False)
         )
-        labels = np.where(by_points.labels == IGNORED, np.int8(IGNORED), by_light.labels)
-        parts.append(dataclasses.replace(by_light, labels=labels))
-    return held_out(camera, joined(parts), NUM_JUDGING)
+        parts.append(by_light[(by_light.labels != IGNORED) & (by_points.labels != IGNORED)])
+    samples = joined(parts)
+    start = read_model(model)
+    logits = score_samples(start.network, _as_read(samples, start.inputs), torch.device("cpu"))
+    return held_out(camera, samples, expit(light_logits(logits)), NUM_JUDGING)
 
 
 if __name__ == "__main__":
