@@ -16,6 +16,7 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
+from foreglow.datasets.pvdn import is_pvdn
 from foreglow.outputs import RESULT_NAMES, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
@@ -261,12 +262,14 @@ def doubt_about_source(run: Path, source: Path) -> str | None:
 def check_labels(run: Path, labelled: Path) -> None:
     """Checks that labels are for what the run in `run` was made from, or a part of it, or more; as far as it says so.
 
+    Labels of the frames of a video or of a plain folder have copies of their images, so only runs on a data set tell.
+
     Raises:
         ValueError: If they are for other images, or the run's summary is broken.
     """
     path = run / "summary.json"
     summary = read_summary(path) if path.is_file() else None
-    if summary is None or summary.source_digest is None:
+    if summary is None or summary.source_digest is None or not is_pvdn(Path(summary.source)):
         return
     digests = digests_of(labelled)
     if digests and summary.source_digest not in digests:

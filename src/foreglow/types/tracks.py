@@ -133,6 +133,6 @@ _TRACK_DTYPES: Mapping[str, np.dtype[np.generic]] = MappingProxyType(
 _LIMITS = (
     ("states", min(TrackState), max(TrackState)),
     ("confidences", 0.0, 1.0),
-    ("ages_s", 0.0, sys.float_info.max),
+    ("ages_s", -sys.float_info.max, sys.float_info.max),
 )
 """Least and greatest values, by field."""

@@ -240,16 +240,24 @@ def test_no_field_comes_twice() -> None:
         read_detections(message, "detections", 0.24)
 
 
+def with_values(tracks: Tracks, **values: NDArray[Any]) -> Tracks:
+    """Tracks with values that no tracks of ours can have."""
+    changed = dataclasses.replace(tracks)
+    for name, value in values.items():
+        object.__setattr__(changed, name, value)
+    return changed
+
+
 def test_values_that_are_none_are_refused() -> None:
     message = detections_message(HEADER, detections_of(1))
     message.data[16:20] = array.array("B", np.float32(np.nan).tobytes())
     with pytest.raises(ValueError, match=r"detections: Detections\.scores"):
         read_detections(message, "detections", 0.24)
     tracks = tracks_of(1)
-    message = tracks_message(HEADER, dataclasses.replace(tracks, confidences=np.array([np.nan])))
+    message = tracks_message(HEADER, with_values(tracks, confidences=np.array([np.nan])))
     with pytest.raises(ValueError, match="tracks: confidence: expected finite numbers"):
         read_tracks(message, "tracks")
-    message = tracks_message(HEADER, dataclasses.replace(tracks, states=np.array([7])))
+    message = tracks_message(HEADER, with_values(tracks, states=np.array([7])))
     with pytest.raises(ValueError, match="tracks: state: expected 0 to 2, got 7"):
         read_tracks(message, "tracks")
     with pytest.raises(ValueError, match="id: expected numbers of 32 bits"):
