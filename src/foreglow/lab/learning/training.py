@@ -330,8 +330,8 @@ class _Trainer:
         parts = []
         if self._teacher is not None:
             with torch.no_grad():
-                told = logits_of(self._teacher.network, _laid_out(crops), features, sizes)
-            parts.append(self._teacher.weight * told_losses(logits[is_told].float(), told[is_told]))
+                told = self._told(crops, features, sizes, is_told)
+            parts.append(self._teacher.weight * told_losses(logits[is_told].float(), told))
             is_learnt &= ~is_told
         learnt = batch[is_learnt.cpu().numpy()]
         weights = torch.from_numpy(self._weights[learnt]).to(self._device)
@@ -344,6 +344,14 @@ class _Trainer:
             nn.utils.clip_grad_norm_(self.network.parameters(), recipe.max_gradient)
         self._optimiser.step()
         return float(loss.detach())
+
+    def _told(self, crops: Tensor, features: Tensor, sizes: list[int], is_told: Tensor) -> Tensor:
+        """What the teacher says of the samples that are told; where boxes are compared, it reads all of them."""
+        assert self._teacher is not None
+        if self._recipe.inputs.together:
+            return logits_of(self._teacher.network, _laid_out(crops), features, sizes)[is_told]
+        told: Tensor = self._teacher.network(_laid_out(crops[is_told]), features[is_told])
+        return told
 
     def _losses(self, logits: Tensor, batch: NDArray[np.intp]) -> Tensor:
         """Losses of telling light of vehicles from everything else, shape (N,)."""
