@@ -60,7 +60,7 @@ def test_marks_become_labels_of_a_half(tmp_path: Path, monkeypatch: pytest.Monke
     assert sorted(lights(first.annotations(8))) == sorted([((10, 20), True, False), ((80, 10), True, False), *tail])
     assert [each.position_px for each in first.doubtful(8)] == [(50, 60), (85, 55)]
     assert lights(second.annotations(12)) == []
-    assert first.earlier(8) is not None
+    assert first.read(8).earlier is not None
 
 
 def test_a_row_of_the_table() -> None:

@@ -195,7 +195,7 @@ def train(
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
     if from_ is not None and recipe != "foreglow":
         raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
-    chosen_preset = preset or (str(from_) if str(from_) in PRESETS else recipe if recipe in PRESETS else "foreglow")
+    chosen_preset = preset or next((name for name in (str(from_), recipe) if name in PRESETS), "foreglow")
     configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
     if from_ is not None and config is None:
         _check_boxes(from_, configuration)

@@ -86,17 +86,6 @@ class LabelledSource(FileSource, ABC):
     def time_s(self, image_id: int) -> float:
         """Seconds from the first image of its sequence to image `image_id`."""
 
-    def earlier(self, image_id: int) -> Frame | None:  # noqa: ARG002
-        """A frame without labels from shortly before image `image_id`; None where there is none.
-
-        Data sets of single frames of a drive have it, for classifiers that want to see a moment of the past.
-
-        Raises:
-            FileNotFoundError: If its image is missing.
-            ValueError: If there is no such id, or its image is broken or not of the size in the labels.
-        """
-        return None
-
     def doubtful(self, image_id: int) -> tuple[Instance, ...]:  # noqa: ARG002
         """Light in image `image_id` that counts neither as an instance nor as a false alarm.
 

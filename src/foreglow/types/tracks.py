@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -88,6 +87,8 @@ class Tracks(Value):
             raise ValueError("Tracks.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
         if not (self.sigmas_m >= 0).all():
             raise ValueError("Tracks.sigmas_m: expected numbers of at least 0, got NaN or a negative")
+        if not np.isfinite(self.ages_s).all():
+            raise ValueError(f"Tracks.ages_s: expected finite numbers, got {self.ages_s.tolist()}")
         for name, least, most in _LIMITS:
             values = getattr(self, name)
             if count and not (values.min() >= least and values.max() <= most):
@@ -133,6 +134,5 @@ _TRACK_DTYPES: Mapping[str, np.dtype[np.generic]] = MappingProxyType(
 _LIMITS = (
     ("states", min(TrackState), max(TrackState)),
     ("confidences", 0.0, 1.0),
-    ("ages_s", -sys.float_info.max, sys.float_info.max),
 )
 """Least and greatest values, by field."""

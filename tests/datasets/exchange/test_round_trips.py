@@ -250,15 +250,16 @@ def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: P
     own = PVDN(tmp_path / "own")
     assert own.frame_ids == (2, 10, 16, 22)
     assert [own.time_s(image_id) for image_id in own.frame_ids] == [0.0, 0.32, 0.56, 0.8]
-    assert own.earlier(2) is None  # the video begins too late
-    assert own.earlier(16) is None  # it is labelled itself, as frame 10
-    assert own.earlier(22) is None  # likewise, as frame 16
-    before, now = own.earlier(10), own.read(10)
+    assert own.read(2).earlier is None  # the video begins too late
+    assert own.read(16).earlier is None  # it is labelled itself, as frame 10
+    assert own.read(22).earlier is None  # likewise, as frame 16
+    now = own.read(10)
+    before = now.earlier
     assert before is not None
     assert now.timestamp_ns - before.timestamp_ns == 240_000_000
     np.testing.assert_array_equal(before.image, next(f.image for f in Video(clip) if f.frame == 4))
     write_pvdn(own, tmp_path / "copy")
-    copied = PVDN(tmp_path / "copy").earlier(10)
+    copied = PVDN(tmp_path / "copy").read(10).earlier
     assert copied is not None
     np.testing.assert_array_equal(copied.image, before.image)
     maker = InputMaker(InputSpec(size_px=8, lag_s=0.25, num_features=7))

@@ -34,6 +34,7 @@ from foreglow.lab.learning.old_samples import (
     read_old_samples,
     write_old_samples,
 )
+from foreglow.lab.learning.recipes import RECIPES
 from foreglow.lab.learning.samples import NUM_KINDS, Samples
 from foreglow.lab.reports import training_pictures
 from foreglow.models import OLD_SAMPLES, model_path
@@ -156,6 +157,8 @@ def test_samples_of_other_inputs_or_of_nothing_say_so(tmp_path: Path) -> None:
     write_old_samples(tmp_path / "some.npz", old_samples(20))
     with pytest.raises(ValueError, match=r"some\.npz: expected a model that reads no more than"):
         read_old_samples(tmp_path / "some.npz", dataclasses.replace(WIDEST, size_px=64))
+    with pytest.raises(ValueError, match=r"some\.npz: .*; mix in drives instead"):  # single boxes
+        read_old_samples(tmp_path / "some.npz", RECIPES["related"].inputs)
     for content in (b"", b"PK\x05\x06", (tmp_path / "some.npz").read_bytes()[:900]):
         (tmp_path / "some.npz").write_bytes(content)
         with pytest.raises(ValueError, match=r"some\.npz: expected samples as"):

@@ -16,11 +16,11 @@ from foreglow.classifier.inputs import InputMaker  # noqa: E402
 from foreglow.classifier.onnx import MAX_TOGETHER  # noqa: E402
 from foreglow.config import ClassifierConfig  # noqa: E402
 from foreglow.lab.learning.augmentation import COLUMN, PLACES, SIDE, SIZES, augment  # noqa: E402
-from foreglow.lab.learning.batches import set_batches, set_sizes  # noqa: E402
+from foreglow.lab.learning.batches import set_batches  # noqa: E402
 from foreglow.lab.learning.model_export import largest_difference, write_model  # noqa: E402
 from foreglow.lab.learning.networks import Hearing, RelatedNetwork  # noqa: E402
 from foreglow.lab.learning.recipes import RECIPES, Augmentation, Recipe, changed  # noqa: E402
-from foreglow.lab.learning.samples import Samples, joined  # noqa: E402
+from foreglow.lab.learning.samples import Samples, joined, set_sizes  # noqa: E402
 from foreglow.lab.learning.training import score_samples, train  # noqa: E402
 from foreglow.types import Frame, Proposals  # noqa: E402
 

@@ -147,11 +147,11 @@ class PVDN(LabelledSource):
         """As in `LabelledSource`."""
         self._check_exists(image_id)
         frame = equip(self._frame(image_id, self.image_path(image_id), 0.0), self._vehicle)
-        earlier = self.earlier(image_id)
+        earlier = self._earlier(image_id)
         return frame if earlier is None else dataclasses.replace(frame, earlier=earlier)
 
-    def earlier(self, image_id: int) -> Frame | None:
-        """As in `LabelledSource`; its number is that of the image that it belongs to."""
+    def _earlier(self, image_id: int) -> Frame | None:
+        """`Frame.earlier` of image `image_id`, with its number."""
         known = self.image(image_id).earlier
         if known is None:
             return None

@@ -250,10 +250,10 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
             )
         folder = root / "images" / source.sequence(image_id).directory
         folder.mkdir(exist_ok=True)
-        write_atomic(folder / record.file_name, png(source.read(image_id).image))
-        earlier = source.earlier(image_id)
-        if earlier is not None:
-            write_atomic(folder / Path(earlier.path).name, png(earlier.image))
+        frame = source.read(image_id)
+        write_atomic(folder / record.file_name, png(frame.image))
+        if frame.earlier is not None:
+            write_atomic(folder / Path(frame.earlier.path).name, png(frame.earlier.image))
         source.annotations(image_id)  # checks the file against its name
         name = f"{image_id:06d}.json"
         keypoints = read_json(source.root / "labels" / "keypoints" / name, KeypointsFile)

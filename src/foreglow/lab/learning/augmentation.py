@@ -46,8 +46,8 @@ def augment(
         sizes: Numbers of samples of each frame, which sum to N, for networks that compare them: those of a frame are
             reflected together, and their features are moved together, so that their differences stay true.
     """
-    frames = None if sizes is None else torch.repeat_interleave(torch.arange(len(sizes)), torch.tensor(list(sizes)))
-    signs = None if sizes is None or frames is None else _signs(len(sizes), augmentation, random)[frames]
+    frames = None if sizes is None else torch.repeat_interleave(torch.tensor(list(sizes)))  # the frame of each sample
+    signs = None if frames is None else _signs(int(frames[-1]) + 1, augmentation, random)[frames]
     num_near = crops.shape[1] - has_context
     has_earlier = crops[:, 1:num_near].amax(dim=(2, 3), keepdim=True) > 0
     crops = _moved(crops, augmentation, random, signs)
@@ -71,14 +71,15 @@ def augment(
                 features[:, HAS_EARLIER] *= is_kept
         near = torch.cat([near[:, :1], earlier], dim=1)
     crops = torch.cat([near, context], dim=1)
-    if frames is not None and sizes is not None and signs is not None:
-        zooms = _uniform(len(sizes), -augmentation.zoom, augmentation.zoom, random)[frames].to(features.device)
+    if frames is not None and signs is not None:
+        zooms = _uniform(int(frames[-1]) + 1, -augmentation.zoom, augmentation.zoom, random)
+        zooms = zooms[frames].to(features.device)
         features = features.clone()
         features[:, SIDE] *= signs.to(features.device)
         features[:, PLACES] *= torch.exp(zooms)[:, None]
         features[:, SIZES] += zooms[:, None] / (10 * math.log(2))
     if augmentation.feature_noise and features.shape[1]:
-        num_draws = len(features) if sizes is None else len(sizes)
+        num_draws = len(features) if frames is None else int(frames[-1]) + 1
         noise = torch.empty(num_draws, features.shape[1]).normal_(generator=random)
         noise = (noise if frames is None else noise[frames]).to(features.device)
         features = features + augmentation.feature_noise * feature_scale * noise

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples, set_starts
+from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples, set_bounds
 
 
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
@@ -36,25 +36,17 @@ def batches(indices: NDArray[np.intp], batch_size: int) -> Iterator[NDArray[np.i
 
 def set_batches(samples: Samples, recipe: Recipe, epoch: int) -> Iterator[NDArray[np.intp]]:
     """All sets with labelled samples batch by batch, at least one in each, in an order drawn for this epoch."""
-    starts = set_starts(samples.sets)
-    ends = np.append(starts[1:], len(samples))
-    is_labelled = np.add.reduceat(samples.labels != IGNORED, starts) > 0 if len(starts) else np.zeros(0, np.bool_)
+    bounds = [(start, end) for start, end in set_bounds(samples.sets) if (samples.labels[start:end] != IGNORED).any()]
     batch: list[NDArray[np.intp]] = []
     num_samples = 0
-    for index in np.random.default_rng([recipe.seed, epoch]).permutation(np.flatnonzero(is_labelled)):
-        size = ends[index] - starts[index]
-        if batch and num_samples + size > recipe.batch_size:
+    for start, end in np.random.default_rng([recipe.seed, epoch]).permutation(bounds):
+        if batch and num_samples + end - start > recipe.batch_size:
             yield np.concatenate(batch)
             batch, num_samples = [], 0
-        batch.append(np.arange(starts[index], ends[index]))
-        num_samples += size
+        batch.append(np.arange(start, end))
+        num_samples += end - start
     if num_samples > 1:
         yield np.concatenate(batch)
-
-
-def set_sizes(sets: NDArray[np.int32]) -> list[int]:
-    """How many samples each set has, in order."""
-    return [int(size) for size in np.diff(np.append(set_starts(sets), len(sets)))]
 
 
 def sample_weights(samples: Samples, group_balance: float) -> NDArray[np.float32]:

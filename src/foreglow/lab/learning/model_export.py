@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import itertools
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -19,7 +18,7 @@ from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
 from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork, Round
-from foreglow.lab.learning.samples import Samples, set_starts
+from foreglow.lab.learning.samples import Samples, set_bounds
 from foreglow.lab.learning.scores import Calibrator
 from foreglow.types import KINDS
 from foreglow.whole_files import write_atomic
@@ -42,15 +41,14 @@ def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
         ValueError: If the network has no such layer with a bias.
     """
     network = copy.deepcopy(network).eval()
-    last = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
-    if isinstance(network, CompactNetwork):
-        last.append(network.last)
-    if not last or last[-1].bias is None or last[-1].out_features not in (1, len(KINDS)):
+    linear = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    last = network.last if isinstance(network, CompactNetwork) else linear[-1] if linear else None
+    if last is None or last.bias is None or last.out_features not in (1, len(KINDS)):
         raise ValueError(f"network: expected a linear layer of 1 or {len(KINDS)} outputs, with a bias, at its end")
     with torch.no_grad():
-        last[-1].weight.div_(calibrator.temperature)
-        last[-1].bias.div_(calibrator.temperature)
-        last[-1].bias[: max(1, last[-1].out_features - 1)].add_(calibrator.shift)
+        last.weight.div_(calibrator.temperature)
+        last.bias.div_(calibrator.temperature)
+        last.bias[: max(1, last.out_features - 1)].add_(calibrator.shift)
     return network
 
 
@@ -91,7 +89,7 @@ def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]
         raise ValueError(f"{path}: inputs: expected crops, and features where they are read, got {', '.join(wanted)}")
     parts = [
         session.run(None, {name: given[name][start:end] for name in wanted})[0]
-        for start, end in itertools.pairwise([*set_starts(samples.sets).tolist(), len(samples)])
+        for start, end in set_bounds(samples.sets)
     ]
     found = np.concatenate(parts) if parts else logits[:0]
     difference = float(np.max(np.abs(found - logits) / (1 + np.abs(logits)), initial=0.0))

@@ -70,7 +70,7 @@ class StartingPoint:
 
 
 def read_model(model: Path) -> StartingPoint:
-    """The network of a model of the recipe `foreglow`: of one that ships, by its name, or of a file.
+    """The network of a model of the recipe `foreglow` or `related`: of one that ships, by its name, or of a file.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -93,7 +93,9 @@ def read_model(model: Path) -> StartingPoint:
     for parameter, value in zip(parameters, values, strict=False):
         is_alike = is_alike and value is not None and _fits(parameter, value)
     if not is_alike:
-        raise ValueError(f"{path}: expected a model of the recipe foreglow, whose network can be trained further")
+        raise ValueError(
+            f"{path}: expected a model of the recipe foreglow or related, whose network can be trained further"
+        )
     with torch.no_grad():
         for parameter, value in zip(parameters, values, strict=True):
             parameter.copy_(torch.from_numpy(np.array(value[: len(parameter)])))

@@ -163,8 +163,9 @@ def read_old_samples(path: Path, spec: InputSpec) -> OldSamples:
         num_features=WIDEST.num_features,
         lag_s=WIDEST.lag_s if spec.lag_s is None else spec.lag_s,
         context=WIDEST.context if spec.context is None else spec.context,
+        together=False,
     )
-    if given != WIDEST:
+    if given != WIDEST or spec.together:
         raise ValueError(
             f"{path}: expected a model that reads no more than {WIDEST}, got {spec}; mix in drives instead"
         )

@@ -148,10 +148,9 @@ class Samples:
 
     def whole_sets(self, num_samples: int) -> Samples:
         """About so many of the samples, in whole sets that are spread evenly over them; all if there are fewer."""
-        starts = set_starts(self.sets)
-        num_sets = max(1, round(len(starts) * min(1.0, num_samples / max(1, len(self)))))
-        wanted = starts[np.linspace(0, len(starts) - 1, num_sets).astype(int)] if len(starts) else starts
-        return self[np.isin(self.sets, self.sets[wanted])]
+        numbers = self.sets[set_bounds(self.sets)[:, 0]]
+        num_sets = min(len(numbers), max(1, round(len(numbers) * num_samples / max(1, len(self)))))
+        return self[np.isin(self.sets, numbers[np.linspace(0, len(numbers) - 1, num_sets).astype(int)])]
 
     def num_labelled(self, label: int) -> int:
         """How many samples have this label."""
@@ -173,13 +172,19 @@ ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
 assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(Samples)}
 
 
-def set_starts(sets: NDArray[np.int32]) -> NDArray[np.intp]:
-    """Where each set begins, among samples whose sets have these numbers.
+def set_bounds(sets: NDArray[np.int32]) -> NDArray[np.intp]:
+    """Where each of K sets begins and ends among N samples, shape (K, 2), from the number of each sample's set.
 
-    >>> set_starts(np.array([4, 4, 7, 5, 5], np.int32)).tolist()
-    [0, 2, 3]
+    >>> set_bounds(np.array([4, 4, 7, 5, 5], np.int32)).tolist()
+    [[0, 2], [2, 3], [3, 5]]
     """
-    return np.flatnonzero(np.diff(sets, prepend=sets[:1] - 1))
+    starts = np.flatnonzero(np.diff(sets, prepend=sets[:1] - 1))
+    return np.column_stack([starts, np.append(starts[1:], len(sets))[: len(starts)]])
+
+
+def set_sizes(sets: NDArray[np.int32]) -> list[int]:
+    """How many samples each set has, in order."""
+    return [int(end - start) for start, end in set_bounds(sets)]
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
@@ -191,8 +196,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
     if len(parts) == 1:
         return parts[0]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
-    is_first = [np.isin(np.arange(len(part)), set_starts(part.sets)) for part in parts]
-    arrays["sets"] = (np.cumsum(np.concatenate(is_first)) - 1).astype(np.int32)
+    sizes = [size for part in parts for size in set_sizes(part.sets)]
+    arrays["sets"] = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
     has_digests = all(part.digest for part in parts)
     digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
     return Samples(**arrays, digest=digest)

@@ -33,12 +33,11 @@ from foreglow.lab.learning.batches import (
     learning_rate,
     sample_weights,
     set_batches,
-    set_sizes,
 )
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.lab.learning.networks import RelatedNetwork, logits_of, recipe_network
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import Samples, set_starts
+from foreglow.lab.learning.samples import Samples, set_bounds, set_sizes
 from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 from foreglow.whole_files import write_atomic
@@ -186,12 +185,13 @@ def score_samples(
 ) -> NDArray[np.float32]:
     """Logits of all samples without augmentation, shape (N, outputs); leaves the network in evaluation mode."""
     network.eval()
-    starts: NDArray[np.intp] = np.arange(0, max(len(samples), 1), _SCORING_BATCH)  # at least one, to get the shape
-    if isinstance(network, RelatedNetwork) and len(samples):
-        starts = set_starts(samples.sets)
+    count = len(samples)  # at least one batch, to get the shape
+    bounds = [(start, min(start + _SCORING_BATCH, count)) for start in range(0, max(count, 1), _SCORING_BATCH)]
+    if isinstance(network, RelatedNetwork) and count:
+        bounds = set_bounds(samples.sets).tolist()
     logits = []
     with torch.inference_mode(), _precision(precision, device):
-        for start, end in zip(starts, np.append(starts[1:], len(samples)), strict=True):
+        for start, end in bounds:
             crops, features = _tensors(samples, np.arange(start, end), device)
             logits.append(network(_laid_out(crops), features).float().cpu().numpy())
     return np.concatenate(logits)
