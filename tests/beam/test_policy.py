@@ -4,84 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
-from foreglow.beam import POLICIES, Gap, make_policy, occurrence
+from foreglow.beam import Gap, occurrence
 from foreglow.beam.interface import BeamPolicy
-from foreglow.beam.policy import ForeglowPolicy, PaperPolicy, brightness
+from foreglow.beam.policy import ForeglowPolicy, PaperPolicy
 from foreglow.beam.stage import BeamStage
-from foreglow.config import BeamConfig, GuardConfig
-from foreglow.photometry import read_headlamps
-from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState, Vehicles
-from foreglow.types.kinds import kinds_of_direct
-from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
-
-LAMPS = read_headlamps()
-CONFIG = BeamConfig(policy="foreglow")
-S = FRAME_NS / 1e9
-
-STRAIGHT = RoadAhead(np.column_stack([np.arange(-20.0, 400.0, 10.0), np.zeros((42, 2))]), half_width_m=3.5)
-TENTATIVE, CONFIRMED, COASTING = TrackState
-
-
-class Seen(NamedTuple):
-    """One light as a track."""
-
-    azimuth_rad: float
-    direct: float = 0.95
-    range_m: float = 80.0
-    state: TrackState = CONFIRMED
-    number: int = 0
-    sigma_m: float = 5.0
-    confidence: float = 0.9
-
-
-def tracks_at(number: int, *seen: Seen) -> Tracks:
-    tracks = tracks_of(
-        [box_around(track.azimuth_rad, -0.005, 0.006) for track in seen],
-        [track.range_m for track in seen],
-        sigmas_m=[math.inf if math.isnan(track.range_m) else track.sigma_m for track in seen],
-        states=[track.state for track in seen],
-        ages_s=1.0 + number * S,
-    )
-    return dataclasses.replace(
-        tracks,
-        ids=np.array([track.number for track in seen], np.int64),
-        light_kinds=kinds_of_direct(np.array([track.direct for track in seen], np.float64)),
-        confidences=np.array([track.confidence for track in seen], np.float64),
-    )
-
-
-def frame(number: int, road: RoadAhead | None = STRAIGHT) -> Frame:
-    return dataclasses.replace(frame_at(number), road=road)
-
-
-def policy(kind: type[Any] = ForeglowPolicy, **fields: Any) -> Any:
-    return kind(CONFIG.model_copy(update=fields), LAMPS)
-
-
-def gaps_after(made: ForeglowPolicy, *scenes: tuple[Seen, ...], road: RoadAhead | None = STRAIGHT) -> list[Gap]:
-    """The gaps of the last of some frames."""
-    gaps: list[Gap] = []
-    for number, seen in enumerate(scenes):
-        gaps = made.gaps(frame(number, road), tracks_at(number, *seen))
-    return gaps
-
-
-def holding(gaps: list[Gap], azimuth_rad: float) -> list[Gap]:
-    return [gap for gap in gaps if gap.right_rad < azimuth_rad < gap.left_rad]
-
-
-def brightest_there(command: BeamCommand, azimuth_rad: float, range_m: float = 80.0) -> float:
-    """Lux of the strongest LED at eyes in a direction."""
-    eyes = np.array([[range_m * math.cos(azimuth_rad), range_m * math.sin(azimuth_rad), 1.2]])
-    return float((LAMPS.illuminance_lx(eyes)[1][0] * command.levels).max())
-
-
-LAMP, LIGHT = Seen(0.05), Seen(-0.15, direct=0.05, range_m=60.0, number=1)
+from foreglow.config import GuardConfig
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, RoadAhead, Tracks, TrackState, Vehicles
+from tests.beam.made_up import box_around, from_origin
+from tests.beam.policy_scenes import (
+    COASTING,
+    CONFIG,
+    CONFIRMED,
+    LAMP,
+    LIGHT,
+    STRAIGHT,
+    TENTATIVE,
+    S,
+    Seen,
+    brightest_there,
+    frame,
+    gaps_after,
+    holding,
+    policy,
+    tracks_at,
+)
 
 
 def test_without_tracks_there_is_full_beam() -> None:
@@ -423,60 +374,6 @@ def test_a_new_start_knows_nothing(kind: type[Any]) -> None:
         assert before.mode == after.mode
         np.testing.assert_array_equal(before.levels, after.levels)
         np.testing.assert_array_equal(before.gaps_rad, after.gaps_rad)
-
-
-def lit(number: int, *lights: tuple[Seen, int]) -> Frame:
-    """A frame in which each light has a brightness."""
-    image = np.full((960, 1280), 10, np.uint8)
-    for seen, value in lights:
-        x1, y1, x2, y2 = box_around(seen.azimuth_rad, -0.005, 0.006).astype(int)
-        image[y1:y2, x1:x2] = value
-    return dataclasses.replace(frame(number), image=image)
-
-
-@pytest.mark.parametrize("is_first_brighter", [True, False])
-def test_the_paper_sends_the_brightest_plausible_track_alone(is_first_brighter: bool) -> None:
-    light = Seen(-0.1, direct=0.1, number=1)
-    unproven = Seen(0.2, state=TENTATIVE, number=2)
-    values = (220, 140) if is_first_brighter else (140, 220)
-    seen = lit(0, (LAMP, values[0]), (light, values[1]), (unproven, 255))
-    (gap,) = policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP, light, unproven))
-    chosen = LAMP if is_first_brighter else light
-    assert holding([gap], chosen.azimuth_rad)
-    assert gap.left_rad - gap.right_rad == pytest.approx(0.006 + 2 * math.radians(CONFIG.margin_deg), rel=0.1)
-    assert not policy(PaperPolicy).gaps(seen, tracks_at(0, unproven))
-
-
-@pytest.mark.parametrize(("is_reported", "num_gaps"), [(True, 0), (False, 1), (None, 1)])
-def test_the_paper_is_silent_while_the_production_system_reports(is_reported: bool | None, num_gaps: int) -> None:
-    seen = dataclasses.replace(lit(0, (LAMP, 220)), is_reported=is_reported)
-    assert len(policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP))) == num_gaps
-
-
-def test_brightness_of_boxes() -> None:
-    image = np.zeros((20, 30), np.uint8)
-    image[5, 7], image[19, 29] = 100, 200
-    assert brightness(image, np.array([6.5, 4.2, 8.0, 6.0])) == 100.0
-    assert brightness(image, np.array([-5.0, -5.0, 7.5, 5.5])) == 100.0
-    assert brightness(image, np.array([25.0, 15.0, 99.0, 99.0])) == 200.0
-    assert brightness(image, np.array([31.0, 2.0, 40.0, 9.0])) == 0.0
-
-
-@pytest.mark.parametrize(("name", "mode", "level"), [("low", BeamMode.LOW, 0.0), ("high", BeamMode.FULL, 1.0)])
-def test_plain_beams_look_at_nothing(name: str, mode: BeamMode, level: float) -> None:
-    made = make_policy(BeamConfig(policy=name), LAMPS)
-    for seen in ((), (LAMP, LIGHT)):
-        command = made.command(frame(3), tracks_at(3, *seen))
-        assert (command.mode, command.timestamp_ns) == (mode, 3 * FRAME_NS)
-        assert (command.levels == level).all()
-        assert len(command.gaps_rad) == 0
-    made.reset()
-
-
-def test_policies_have_names() -> None:
-    assert isinstance(make_policy(CONFIG, LAMPS), POLICIES["foreglow"])
-    with pytest.raises(ValueError, match=r"beam\.policy: expected one of low, high, paper, foreglow, .*got 'none'"):
-        make_policy(BeamConfig(), LAMPS)
 
 
 def test_a_gap_is_not_held_when_time_jumps_back() -> None:
