@@ -22,7 +22,7 @@ from foreglow.lab.learning.networks import Hearing, RelatedNetwork  # noqa: E402
 from foreglow.lab.learning.recipes import RECIPES, Augmentation, Recipe, changed  # noqa: E402
 from foreglow.lab.learning.samples import Samples, joined, set_sizes  # noqa: E402
 from foreglow.lab.learning.training import score_samples, train  # noqa: E402
-from foreglow.types import Frame, Proposals  # noqa: E402
+from foreglow.types import KINDS, Frame, Proposals  # noqa: E402
 
 pytestmark = pytest.mark.torch
 
@@ -140,6 +140,26 @@ def test_batches_are_of_whole_sets_with_labels() -> None:
     assert all(set(set_sizes(samples.sets[batch])) == {6} for batch in batches)
     np.testing.assert_array_equal(np.sort(np.concatenate(batches)), np.arange(12, len(samples)))
     assert not np.array_equal(np.concatenate(batches), np.concatenate(list(set_batches(samples, RECIPE, 2))))
+
+
+def test_lamps_are_left_out_of_a_share_of_the_frames() -> None:
+    samples = pairs(40, 3)
+    kinds = samples.kinds.copy()
+    kinds[:, KINDS.index("none")] = 1.0
+    kinds[::6] = [0.6, 0.0, 0.4, 0.0, 0.0]  # the first box of each set
+    kinds[1::6] = [0.0, 0.05, 0.0, 0.95, 0.0]
+    labels = samples.labels.copy()
+    labels[1:6] = -1  # of the first set, nothing but its lamp is labelled
+    samples = dataclasses.replace(samples, kinds=kinds, labels=labels)
+    batches = list(set_batches(samples, changed(RECIPE, {"without_lamps": 1.0}), 1))
+    np.testing.assert_array_equal(np.sort(np.concatenate(batches)), np.flatnonzero(np.arange(240) % 6)[5:])
+    assert all(set(set_sizes(samples.sets[batch])) == {5} for batch in batches)
+    half = changed(RECIPE, {"without_lamps": 0.5})
+    lit = [{int(i) // 6 for batch in set_batches(samples, half, epoch) for i in batch if i % 6 == 0} for epoch in (1, 2)]
+    assert all(10 <= len(each) <= 30 for each in lit)
+    assert lit[0] != lit[1]
+    with pytest.raises(ValueError, match=r"without_lamps: expected 0 without inputs.together, got 0.5"):
+        changed(RECIPES["foreglow"], {"without_lamps": 0.5})
 
 
 def test_boxes_of_a_frame_are_reflected_and_moved_together() -> None:

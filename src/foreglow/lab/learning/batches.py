@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples, set_bounds
+from foreglow.types import KINDS
+
+LAMPS = [KINDS.index(name) for name in ("front_lamp", "rear_lamp")]
+
+MIN_LAMP_SHARE = 0.1
+"""A box holds a lamp in sight if lamps make at least this share of its contrast."""
 
 
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
@@ -35,16 +41,26 @@ def batches(indices: NDArray[np.intp], batch_size: int) -> Iterator[NDArray[np.i
 
 
 def set_batches(samples: Samples, recipe: Recipe, epoch: int) -> Iterator[NDArray[np.intp]]:
-    """All sets with labelled samples batch by batch, at least one in each, in an order drawn for this epoch."""
-    bounds = [(start, end) for start, end in set_bounds(samples.sets) if (samples.labels[start:end] != IGNORED).any()]
+    """All sets with labelled samples batch by batch, at least one in each, in an order drawn for this epoch.
+
+    Of a share of the sets, drawn again in every epoch, the lamps in sight are left out, as `Recipe.without_lamps` says.
+    """
+    random = np.random.default_rng([recipe.seed, epoch])
+    is_labelled, is_lamp = samples.labels != IGNORED, samples.kinds[:, LAMPS].sum(axis=1) >= MIN_LAMP_SHARE
+    bounds = [(start, end) for start, end in set_bounds(samples.sets) if is_labelled[start:end].any()]
     batch: list[NDArray[np.intp]] = []
     num_samples = 0
-    for start, end in np.random.default_rng([recipe.seed, epoch]).permutation(bounds):
-        if batch and num_samples + end - start > recipe.batch_size:
+    for start, end in random.permutation(bounds):
+        chosen = np.arange(start, end)
+        if random.random() < recipe.without_lamps:
+            chosen = chosen[~is_lamp[start:end]]
+        if not is_labelled[chosen].any():
+            continue
+        if batch and num_samples + len(chosen) > recipe.batch_size:
             yield np.concatenate(batch)
             batch, num_samples = [], 0
-        batch.append(np.arange(start, end))
-        num_samples += end - start
+        batch.append(chosen)
+        num_samples += len(chosen)
     if num_samples > 1:
         yield np.concatenate(batch)
 

@@ -81,6 +81,8 @@ class Recipe(FrozenModel):
             counts as none, so that what a person would mark comes first.
         max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
+        without_lamps: Where the boxes of a frame are read together, share of the frames whose lamps in sight are left
+            out, drawn again in each epoch: what else a vehicle lights is then seen as if the vehicle were hidden.
         augmentation: Random changes of training crops; validation samples are never changed.
         best_by: The kept epoch has the least validation loss, or the greatest validation F at a score of 0.5, or is the
             last one.
@@ -113,6 +115,7 @@ class Recipe(FrozenModel):
     by_light: bool = False
     unmarked_light: Share = 1.0
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
+    without_lamps: Share = 0.0
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1", "last"] = "loss"
     calibration: Literal["none", "temperature", "platt"] = "temperature"
@@ -130,6 +133,8 @@ class Recipe(FrozenModel):
             raise ValueError(
                 "max_negatives_per_positive: expected none where inputs.together, since all boxes are read"
             )
+        if self.without_lamps and not self.inputs.together:
+            raise ValueError(f"without_lamps: expected 0 without inputs.together, got {self.without_lamps:g}")
         if self.warmup_epochs > self.epochs:
             raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
         return self
@@ -180,6 +185,7 @@ _RELATED = {
     "inputs": dataclasses.replace(_FOREGLOW.inputs, num_features=len(FEATURES), together=True),
     "jitter": Jitter(),
     "epochs": 12,
+    "without_lamps": 0.5,
     "max_negatives_per_positive": None,
     "augmentation": _FOREGLOW.augmentation.model_copy(update={"zoom": 0.5}),
 }
