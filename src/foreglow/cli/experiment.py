@@ -88,4 +88,7 @@ def reproduce(
     with StepProgress() as progress:
         outcomes = run_experiments(plan, out, workers=work.workers(), progress=progress)
     report = write_page(plan, outcomes, out)
+    for name, outcome in outcomes.items():
+        if outcome.has_failed:
+            typer.echo(f"{name} could not be finished: {outcome.reason}", err=True)
     typer.echo("\n".join([*summary_lines(answers(plan, outcomes)), f"look in {report}"]))

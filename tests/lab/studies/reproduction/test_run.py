@@ -100,8 +100,36 @@ def test_an_experiment_that_the_data_do_not_allow(data: Path, tmp_path: Path, mo
     assert outcomes["drive"].reason.endswith("expected something else")
     assert outcomes["drive"].results is None
     assert all(outcome.results == {} for name, outcome in outcomes.items() if name != "drive")
+    assert [name for name, outcome in outcomes.items() if outcome.has_failed] == ["drive"]
     run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
     assert calls[len(EXPERIMENTS) :] == ["drive"]
+
+
+def test_results_stay_until_there_are_others(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of an experiment that fails with other options, or that was begun with other epochs."""
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs([]))
+    plan, out = ReproductionPlan(data, epochs=1), tmp_path / "out"
+    run_experiments(plan, out, progress=quiet)
+    kept = {path: path.read_bytes() for path in out.rglob("*.json")}
+    with pytest.raises(ValueError, match=r"out: --epochs: expected that of the networks trained here, 1, got 2; name"):
+        run_experiments(dataclasses.replace(plan, epochs=2), out, progress=quiet)
+    assert {path: path.read_bytes() for path in out.rglob("*.json")} == kept
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs([], broken="tune"))
+    outcomes = run_experiments(dataclasses.replace(plan, trials=7), out, progress=quiet)
+    assert outcomes["tune"].results is None
+    results = out / "tune" / EXPERIMENTS["tune"].results
+    assert results.read_bytes() == kept[results]
+
+
+def test_a_resumed_run_was_as_busy_as_its_rows(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run-times that an interrupted call measured on a busy machine are no better after an idle one has gone on."""
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs([]))
+    monkeypatch.setattr("os.getloadavg", lambda: (0.0, 0.0, 0.0))
+    run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
+    rows = [{"name": "paper", "load": 4.9}, {"name": "ours", "load": 0.2}]
+    write_json_results(tmp_path / "out" / "detector" / "results.json", {"rows": rows})
+    outcomes = run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
+    assert (outcomes["detector"].load, outcomes["distance"].load) == (4.9, 0.0)
 
 
 @dataclass(frozen=True)
