@@ -235,6 +235,10 @@ def test_tracks_say_which_are_plausible() -> None:
         ({"num_hits": np.ones(2)}, "Tracks.num_hits: expected int64"),
         ({"boxes_xyxy_px": np.zeros((2, 4))}, "Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2"),
         ({"boxes_xyxy_px": np.full((2, 4), np.nan)}, "Tracks.boxes_xyxy_px: expected finite boxes"),
+        (
+            {"boxes_xyxy_px": np.array([[1e300, -1e300, 1e308, 1e308], [0.0, 0.0, 1.0, 1.0]])},
+            r"Tracks.boxes_xyxy_px: expected numbers from -1e\+06 to 1e\+06",
+        ),
         ({"ranges_m": np.array([60.0, np.inf])}, "Tracks.ranges_m: expected positive numbers or NaN"),
         ({"ranges_m": np.array([60.0, 0.0])}, "Tracks.ranges_m: expected positive numbers or NaN"),
         ({"sigmas_m": np.array([1.0, -1.0])}, "Tracks.sigmas_m: expected numbers of at least 0"),
