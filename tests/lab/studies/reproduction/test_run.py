@@ -121,6 +121,12 @@ def test_results_stay_until_there_are_others(data: Path, tmp_path: Path, monkeyp
     assert results.read_bytes() == kept[results]
 
 
+def test_a_state_of_another_shape_is_said(data: Path, tmp_path: Path) -> None:
+    (tmp_path / run.STATE).write_text('{"distance": 3}')
+    with pytest.raises(ValueError, match=rf"{run.STATE}: distance: .*, got 3"):
+        run_experiments(ReproductionPlan(data), tmp_path, progress=quiet)
+
+
 def test_a_resumed_run_was_as_busy_as_its_rows(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run-times that an interrupted call measured on a busy machine are no better after an idle one has gone on."""
     monkeypatch.setattr(run, "EXPERIMENTS", stubs([]))

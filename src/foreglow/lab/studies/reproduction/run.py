@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import RootModel
+
 from foreglow.datasets import SPLIT_NAMES, split_in
+from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import read_plain_json, write_json_results
 from foreglow.lab.studies.detector.rows import check_given, file_digest, split_digest
 from foreglow.lab.studies.progress import Progress
@@ -35,6 +38,25 @@ WAVES = (
 )
 """What may run at once; a single experiment spreads its own work. The table of detectors may train the paper's network,
 which later ones use, and nothing disturbs the run-times."""
+
+
+class Known(Record):
+    """What `STATE` keeps of an experiment: what it was run with (`key`), and what came of it, as in `Outcome`.
+
+    Attributes:
+        epochs: What was asked for where networks are trained.
+    """
+
+    key: str = ""
+    seconds: float = 0.0
+    load: float = 0.0
+    reason: str = ""
+    has_failed: bool = False
+    epochs: int | None = None
+
+
+class State(RootModel[dict[str, Known]]):
+    """The file `STATE`, by experiment."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +95,8 @@ def run_experiments(
     check_given(plan.models)
     Pipeline(plan.config.commanding())  # opens our model; an experiment that cannot would only have a reason
     out.mkdir(parents=True, exist_ok=True)
-    known = read_plain_json(out / STATE) if (out / STATE).exists() else {}
+    found = read_json(out / STATE, State).root if (out / STATE).exists() else {}
+    known: dict[str, dict[str, Any]] = {name: each.model_dump(exclude_unset=True) for name, each in found.items()}
     begun = known.get("detector", {}).get("epochs", plan.epochs)
     if begun != plan.epochs:
         raise ValueError(
