@@ -181,6 +181,8 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "best"), "preset: expected one of"),
+        (("--out", "unused", "--shares", "paper,paper"), "--shares: expected each once, paper comes twice"),
+        (("--out", "unused", "--camera", "phone,phone"), "--camera: expected different names, 'phone' comes twice"),
         (("--preview", "mine", "--scene", "a.toml", "--scene", "b.toml"), "--preview: expected one --scene, got 2"),
     ],
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, option, size_from, with_options
+from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, listed, option, size_from, with_options
 
 if TYPE_CHECKING:
     from foreglow.lab import simulation
@@ -204,7 +204,7 @@ def _exposing(config: DatasetConfig, camera: str | None, num_variants: int, shar
 
     if camera is None and num_variants == 1 and shares is None:
         return None
-    presets = () if shares is None else tuple(name.strip() for name in shares.split(","))
+    presets = () if shares is None else listed("--shares", shares)
     profiles = (None,) if camera is None else read_profiles(camera)
     return _Exposing(tuple(config.exposed_for(profile, presets) for profile in profiles), num_variants, presets)
 
