@@ -231,6 +231,10 @@ def test_no_road_is_none_and_a_broken_one_is_refused() -> None:
     with pytest.raises(ValueError, match=r"road: RoadAhead\.points_m: expected finite"):
         read_road(message, "road")
     message = road_message(HEADER, RoadAhead(np.array([[0.0, 0, 0], [5, 0, 0]]), 3.5))
+    for start in (32, 80):  # half_width_m of both rows
+        message.data[start : start + 8] = array.array("B", np.float64(1e6).tobytes())
+    with pytest.raises(ValueError, match=r"road: RoadAhead\.half_width_m: expected at most 200, got 1000000"):
+        read_road(message, "road")
     message.data[32:40] = array.array("B", np.float64(9.0).tobytes())
     with pytest.raises(ValueError, match="road: half_width_m, error_bound_m: expected the same"):
         read_road(message, "road")
