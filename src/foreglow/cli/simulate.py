@@ -98,7 +98,8 @@ def simulate(
     elif out is None:
         raise ValueError("simulate: expected --out DIR, --preview NAME, --print NAME or --print-camera NAME")
     else:
-        config = simulation.DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
+        drawn_with = None if scene else seed  # scenes of one's own have their seeds themselves
+        config = simulation.DatasetConfig.of(seed=drawn_with, split=split, cycle=cycle, quality=quality)
         exposing = _exposing(config, camera, variants, shares)
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
             own_split = cast("simulation.Split", split)
