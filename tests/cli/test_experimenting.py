@@ -182,6 +182,21 @@ def test_distance(tmp_path: Path) -> None:
     assert (record["split"], record["made_with"]["seed"]) == ("night/val", 4)
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_the_split_that_was_found_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    make_split(tmp_path / "drives", "val")
+    monkeypatch.chdir(tmp_path / "drives")
+    result = foreglow_command("experiment", "simulator", ".", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("measured on night/val\n")
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["name"] == "night/val"
+    (tmp_path / "none.json").write_text("{}")
+    result = foreglow_command("evaluate", ".", "--predictions", tmp_path / "none.json")
+    assert result.exit_code == 0, result.output
+    assert "\nnight/val" in result.stdout
+
+
 def test_bad_input_of_the_distance_experiment(data: Path, tmp_path: Path) -> None:
     experiment = ("experiment", "distance", data, "--out", tmp_path / "out")
     assert "estimators: expected some of gp, psd_3d" in complaint(*experiment, "--estimators", "radar")
