@@ -74,8 +74,11 @@ def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypat
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert calls[len(EXPERIMENTS) :] == ["tune"]
     (tmp_path / "out" / "glare" / "results.json").unlink()
+    (tmp_path / "out" / "detector" / "results.json").write_bytes(b"")
+    (tmp_path / "out" / "distance" / "results.json").write_text("[]")
+    calls.clear()
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
-    assert calls[-1] == "glare"
+    assert calls == ["detector", "distance", "glare"]
 
 
 def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

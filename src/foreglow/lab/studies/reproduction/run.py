@@ -45,9 +45,11 @@ class Known(Record):
 
     Attributes:
         epochs: What was asked for where networks are trained.
+        results: Digest of the file with its results.
     """
 
     key: str = ""
+    results: str = ""
     seconds: float = 0.0
     load: float = 0.0
     reason: str = ""
@@ -95,8 +97,8 @@ def run_experiments(
     check_given(plan.models)
     Pipeline(plan.config.commanding())  # opens our model; an experiment that cannot would only have a reason
     out.mkdir(parents=True, exist_ok=True)
-    found = read_json(out / STATE, State).root if (out / STATE).exists() else {}
-    known: dict[str, dict[str, Any]] = {name: each.model_dump(exclude_unset=True) for name, each in found.items()}
+    state = read_json(out / STATE, State).root if (out / STATE).exists() else {}
+    known: dict[str, dict[str, Any]] = {name: each.model_dump(exclude_unset=True) for name, each in state.items()}
     begun = known.get("detector", {}).get("epochs", plan.epochs)
     if begun != plan.epochs:
         raise ValueError(
@@ -109,13 +111,13 @@ def run_experiments(
         todo: dict[str, str] = {}
         for name in wave:
             key = _key(name, plan, out, digest)
-            is_known = known.get(name, {}).get("key") == key and (out / name / EXPERIMENTS[name].results).is_file()
-            if not is_known:
+            before, found = known.get(name, {}), _results_digest(name, out)
+            if before.get("key") != key or not found or before.get("results", found) != found:
                 todo[name] = name
                 known[name] = {"key": key} | ({"epochs": plan.epochs} if name == "detector" else {})
         work = functools.partial(_run, plan, out, inner)
         for name, told in outer.each(work, todo, progress, paths=(out, plan.data)):
-            known[name] |= told | ({"key": ""} if told["reason"] else {})
+            known[name] |= told | {"results": _results_digest(name, out)} | ({"key": ""} if told["reason"] else {})
             write_json_results(out / STATE, known)
     return {name: _outcome(name, plan, out, known[name]) for name in EXPERIMENTS}
 
@@ -145,6 +147,12 @@ def _outcome(name: str, plan: ReproductionPlan, out: Path, known: Mapping[str, A
     load = max([known["load"], *(row.get("load", 0.0) for row in (results or {}).get("rows", []) if "name" in row)])
     has_failed = known.get("has_failed", False)
     return Outcome(_words(name, plan, out), known["seconds"], load, known["reason"], has_failed, results)
+
+
+def _results_digest(name: str, out: Path) -> str:
+    """Digest of an experiment's results; empty without any. Damaged or changed ones are made again."""
+    file = out / name / EXPERIMENTS[name].results
+    return file_digest(file) if file.is_file() else ""
 
 
 def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
