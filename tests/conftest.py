@@ -65,6 +65,17 @@ def _images_of_the_shipped_drive_are_decoded_once() -> Iterator[None]:
 
 
 @pytest.fixture
+def image(tmp_path: Path) -> Path:
+    """A dark image in a folder of its own."""
+    import cv2
+    import numpy as np
+
+    path = tmp_path / "image.png"
+    cv2.imwrite(str(path), np.zeros((64, 96), np.uint8))
+    return path
+
+
+@pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of a report's words and tables: its figures are made, but not drawn, which is what takes long."""
     pytest.importorskip("matplotlib")

@@ -107,8 +107,15 @@ def test_a_scaled_camera_sees_the_same_directions() -> None:
 @pytest.mark.parametrize(
     "changes",
     [{"width_px": 0}, {"focal_px": (0.0, 1.0)}, {"focal_px": (np.nan, 1.0)}, {"centre_px": (np.inf, 1.0)},
-     {"distortion": (np.nan, 0.0, 0.0, 0.0, 0.0)}],
+     {"distortion": (np.nan, 0.0, 0.0, 0.0, 0.0)}, {"distortion": (0.0, 0.0, 0.0, 0.0, 1e7)},
+     {"focal_px": (1e7, 1.0)}, {"centre_px": (1e6, 1.0)}, {"centre_px": (640.0, -2561.0)}],
 )  # fmt: skip
 def test_bad_cameras(changes: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="Camera"):
         camera(**changes)
+
+
+@pytest.mark.parametrize("centre_px", [(-2560.0, 3520.0), (3840.0, -2560.0), (640.0, 480.0)])
+def test_the_principal_point_of_a_part_of_a_larger_image(centre_px: tuple[float, float]) -> None:
+    """Up to two longer sides outside: a strip at the edge of a sensor, for one."""
+    assert camera(centre_px=centre_px).scaled(640, 480).centre_px == (centre_px[0] / 2, centre_px[1] / 2)

@@ -1,32 +1,19 @@
-"""Outputs never destroy inputs, and a folder has one writer at a time."""
+"""Outputs never destroy inputs, whatever these are called and wherever they are named."""
 
 from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import cv2
-import numpy as np
 import pytest
 
-from foreglow.outputs import FolderLock, check_outputs, locked, running
+from foreglow.outputs import check_outputs, locked
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from foreglow.whole_files import open_atomic
-from tests.cli.commands import PNG, complaint, foreglow_command, names
+from tests.cli.commands import complaint, foreglow_command, names
 from tests.stand_ins import REFERENCE
-
-
-@pytest.fixture
-def image(tmp_path: Path) -> Path:
-    path = tmp_path / "image.png"
-    cv2.imwrite(str(path), np.zeros((64, 96), np.uint8))
-    return path
 
 
 def test_an_output_that_is_an_input(tmp_path: Path) -> None:
@@ -302,52 +289,6 @@ def test_every_one_of_several_inputs_counts(tmp_path: Path) -> None:
     assert "--scene" in complaint("simulate", "--out", tmp_path / "out", *given)
 
 
-def test_a_folder_is_written_by_one(tmp_path: Path) -> None:
-    first = OutputFolder(tmp_path / "out")
-    with pytest.raises(ValueError, match="another run is writing into this folder"):
-        OutputFolder(tmp_path / "out")
-    first.discard()
-    OutputFolder(tmp_path / "out").discard()
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_command_and_what_it_calls_share_the_lock(tmp_path: Path) -> None:
-    with locked({"--out": tmp_path / "out"}):
-        folder = OutputFolder(tmp_path / "out")
-        with pytest.raises(ValueError, match="another run"), locked({"--out": tmp_path / "out"}):
-            pass
-        folder.discard()
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.fixture
-def writer(tmp_path: Path) -> Iterator[subprocess.Popen[Any]]:
-    code = (
-        "import sys, time; from pathlib import Path; from foreglow.outputs import FolderLock\n"
-        "lock = FolderLock(Path(sys.argv[1])); print('locked', flush=True); time.sleep(60)"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "locked\n"
-    with process:
-        yield process
-        process.kill()
-
-
-def test_the_lock_dies_with_its_process(writer: subprocess.Popen[Any], image: Path, tmp_path: Path) -> None:
-    assert "another run is writing" in complaint("run", image, "--out", tmp_path / "out")
-    writer.kill()
-    writer.wait()
-    result = foreglow_command("run", image, "--out", tmp_path / "out")
-    assert result.exit_code == 0, result.stderr
-
-
-def test_empty_folders_go_again(tmp_path: Path) -> None:
-    with pytest.raises(KeyError), FolderLock(tmp_path / "a" / "b"):
-        raise KeyError
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_word_is_no_path_even_if_a_folder_has_its_name(
     tmp_path: Path, image: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -366,99 +307,3 @@ def test_a_part_of_a_result_that_is_not_read(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=f"--json .*{part}: expected a file that does not overwrite a part of"):
             check_outputs({}, {"--json": folder / part}, {})
         check_outputs({}, {"--json": folder / "results.json", "--out": folder / "report.html"}, {})
-
-
-@pytest.mark.parametrize("name", ["overlay.mp4", "frames.jsonl", "beam.png", "report.html"])
-def test_a_run_leaves_files_that_only_have_the_name_of_a_result(name: str, image: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / name).write_text("mine")
-    refused = f"{out / name}: expected nothing there but earlier results of this command"
-    assert refused in complaint("run", image, "--out", out)
-    assert {path.name: path.read_text() for path in out.iterdir()} == {name: "mine"}
-
-
-def test_a_training_leaves_a_model_that_is_not_of_it(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "model.onnx").write_text("mine")
-    assert "model.onnx: expected nothing there" in complaint("train", tmp_path / "data", "--out", out)
-
-
-@pytest.mark.parametrize("name", ["config.toml", "summary.json"])
-def test_a_run_leaves_what_is_not_of_a_run(tmp_path: Path, name: str) -> None:
-    """Such as the files of a training, or those of another program."""
-    (tmp_path / name).write_text("mine")
-    with pytest.raises(ValueError, match=f"{name}: expected nothing there but earlier results of this command"):
-        OutputFolder(tmp_path)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "mine"}
-    (tmp_path / "frames.jsonl").touch()
-    OutputFolder(tmp_path).discard()
-
-
-def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> None:
-    data, run = tmp_path / "data", tmp_path / "run"
-    run.mkdir()
-    (run / "config.toml").write_text("of a run")
-    for command in ("train", "tune"):
-        complaints = complaint(command, data, "--out", run)
-        assert "config.toml: expected nothing there but earlier results of this command" in complaints
-    assert (run / "config.toml").read_text() == "of a run"
-    data.mkdir()
-    assert "expected each data set once" in complaint("train", data, data / ".", "--out", tmp_path / "model")
-
-
-def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
-    for name in ("frames.jsonl", "config.toml", "report.html"):
-        (tmp_path / name).touch()
-    with OutputFolder(tmp_path) as folder:
-        folder.publish(REFERENCE, Tally().summary("images", [], REFERENCE, is_complete=True, dispatch=None))
-    assert not (tmp_path / "report.html").exists()
-
-
-def test_results_of_another_command_stay(tmp_path: Path) -> None:
-    """Whatever both commands call their files: a folder has one kind of results."""
-    image, run = tmp_path / "a.png", tmp_path / "run"
-    image.write_bytes(PNG)
-    assert foreglow_command("run", image, "--out", run).exit_code == 0
-    before = {path.name: path.read_bytes() for path in run.iterdir()}
-    assert json.loads(before["summary.json"])["command"] == "run"
-    of_run = f"--out {run}: expected another folder for these results, {run / 'summary.json'} is of `foreglow run`"
-    for words in (
-        ("demo", image),
-        ("evaluate", tmp_path, "--predictions", tmp_path / "other.jsonl"),
-        ("evaluate", tmp_path),
-        ("experiment", "runtime", tmp_path),
-        ("experiment", "time-benefit", tmp_path),
-        ("reproduce", tmp_path),
-        ("tune", tmp_path),
-        ("train", tmp_path),
-        ("simulate",),
-    ):
-        assert of_run in complaint(*words, "--out", run)
-    assert {path.name: path.read_bytes() for path in run.iterdir()} == before
-    assert foreglow_command("run", image, "--out", run).exit_code == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "writer"),
-    [
-        ("results.json", '{"made_with": {"command": "experiment runtime"}}', "experiment runtime"),
-        ("results.json", '{"made_with": {}}', "experiment"),
-        ("frames.jsonl", "", "run"),
-        ("recipe.toml", "", "train"),
-        ("study.journal", "", "tune"),
-        ("plan.json", "[[[[", "experiment glare"),
-        ("experiments.json", "{}", "reproduce"),
-    ],
-)
-def test_who_wrote_a_folder(name: str, text: str, writer: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_text(text)
-    for command in ("beam", "experiment runtime", "train"):
-        with running(command):
-            if command.startswith(writer) or (command, writer) == ("beam", "run"):
-                check_outputs({}, {}, {"--out": tmp_path})
-            else:
-                with pytest.raises(ValueError, match=f"{name} is of `foreglow {writer}`"):
-                    check_outputs({}, {}, {"--out": tmp_path})
-    check_outputs({}, {}, {"--out": tmp_path})  # a program of the user's own may know better

@@ -204,6 +204,47 @@ def test_a_function_has_to_make_what_is_expected(folder: Path, kind: str, method
         Pipeline(**given)
 
 
+OTHERS = {
+    "estimator": ("estimate", "(self, frame)", "estimate(frame, detections), got estimate(frame)"),
+    "tracker": ("update", "(self, frame, detections, ranges, more)", "update(frame, detections, ranges), got update("),
+    "policy": ("shone", "(self)", "shone(command), got shone()"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_a_method_that_is_called_otherwise(folder: Path, kind: str) -> None:
+    """It was a TypeError of our own call, and as such a fault of ours."""
+    method, parameters, expected = OTHERS[kind]
+    base = {"estimator": "FarAway", "tracker": "NoTracks", "policy": "AllLight"}[kind]
+    made = f"class Other({base}):\n    def {method}{parameters}: pass\n"
+    write_module(folder, "otherwise", f"from tests.test_plugins import {base}\n{made}")
+    section, field = {"estimator": ("distance", kind), "tracker": (kind, "method"), "policy": ("beam", kind)}[kind]
+    config = folder / "car.toml"
+    config.write_text(f'[{section}]\n{field} = "otherwise:Other"\n')
+    calibration = shipped_drive() / "simulation" / "S00001" / "camera.toml"
+    arguments = ("--limit", 1, "--config", config, "--calibration", calibration, "--out", folder / "out")
+    line = complaint("beam", shipped_drive(), *arguments)
+    assert line.startswith(f"foreglow: {section}.{field}: otherwise:Other: expected Other.{expected}")
+    assert not (folder / "out").exists()
+    other: Any = find("field", "otherwise:Other", {}, GROUP)
+    given: Any = {kind: other}
+    with pytest.raises(ValueError, match=re.escape(f"{kind}: expected Other.{expected}")):
+        Pipeline(**given)
+
+
+def test_a_method_may_take_more_or_anything() -> None:
+    class Generous(NoTracks):
+        @staticmethod
+        def reset(*_: Any, **__: Any) -> None:
+            pass
+
+        def update(self, *given: Any, extra: int = 0) -> Tracks:
+            return super().update(*given) if not extra else None  # type: ignore[return-value]
+
+    for plugin in (Generous, Generous()):
+        Pipeline(tracker=plugin)
+
+
 def test_a_function_that_makes_a_tracker_is_one(folder: Path) -> None:
     write_module(
         folder, "maker", "def made(config):\n    from tests.test_plugins import NoTracks\n    return NoTracks()"

@@ -14,7 +14,7 @@ import re
 import reprlib
 import stat
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, AnyStr, Protocol, runtime_checkable
 
@@ -135,6 +135,24 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
+
+
+def check_each_once(values: Iterable[Path | str], field: str) -> None:
+    """Checks that nothing is named twice, which would then count twice; paths may name the same in two ways.
+
+    Raises:
+        ValueError: If something is; the message begins with `field`.
+
+    >>> check_each_once(["val", "test", "val"], "--split")
+    Traceback (most recent call last):
+    ValueError: --split: expected each once, val comes twice
+    """
+    seen = set[Path | str]()
+    for value in values:
+        key = value.resolve() if isinstance(value, Path) else value
+        if key in seen:
+            raise ValueError(f"{field}: expected each once, {value} comes twice")
+        seen.add(key)
 
 
 def check_file(path: Path, max_bytes: float = math.inf) -> None:

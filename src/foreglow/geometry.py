@@ -18,6 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
+MAX_FOCAL_PX = 1e6
+"""Far beyond any lens, as is `MAX_DISTORTION`; what is computed from other numbers overflows."""
+
+MAX_DISTORTION = 1e6
+"""Of each coefficient; fits of long lenses, which do not show k3, have given 1e4."""
+
+MAX_CENTRE_SIDES = 2.0
+"""How far a principal point may lie outside its image, in longer sides of it: images are cut out of larger ones."""
+
 NUM_UNDISTORTION_STEPS = 20
 """Fixed-point steps that invert the distortion; with ordinary lenses the error is below 1e-9 after ten."""
 
@@ -115,6 +124,23 @@ class MountSigmas:
                 raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {getattr(self, name)}")
 
 
+def check_centre(centre_px: tuple[float, float], size_px: tuple[int, int], field: str) -> None:
+    """Checks that a principal point is near its image.
+
+    Args:
+        centre_px: Principal point cx, cy.
+        size_px: Width and height of the image.
+        field: Path and field, for messages.
+
+    Raises:
+        ValueError: If it is further outside than `MAX_CENTRE_SIDES`.
+    """
+    margin_px = MAX_CENTRE_SIDES * max(size_px)
+    if not all(-margin_px <= at_px <= side_px + margin_px for at_px, side_px in zip(centre_px, size_px, strict=True)):
+        expected = f"expected a principal point at most {margin_px:g} px outside the image of {size_px[0]}x{size_px[1]}"
+        raise ValueError(f"{field}: {expected} px, got ({centre_px[0]:g}, {centre_px[1]:g})")
+
+
 @dataclass(frozen=True)
 class Camera:
     """A calibrated pinhole camera with Brown-Conrady distortion.
@@ -129,7 +155,7 @@ class Camera:
         mount_sigmas: How well that pose is known.
 
     Raises:
-        ValueError: If a size is not positive or a number is not finite.
+        ValueError: If a size is not positive, or a number is not finite or not of a lens.
     """
 
     width_px: int
@@ -143,11 +169,15 @@ class Camera:
     def __post_init__(self) -> None:
         if self.width_px < 1 or self.height_px < 1:
             raise ValueError(f"Camera: expected a size of at least 1x1, got {self.width_px}x{self.height_px}")
-        if not (np.isfinite(self.focal_px).all() and min(self.focal_px) > 0):
-            raise ValueError(f"Camera.focal_px: expected two positive numbers, got {self.focal_px}")
+        if not (min(self.focal_px) > 0 and max(self.focal_px) <= MAX_FOCAL_PX):
+            expected = f"expected two positive numbers of at most {MAX_FOCAL_PX:g}"
+            raise ValueError(f"Camera.focal_px: {expected}, got {self.focal_px}")
         for name in ("centre_px", "distortion"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"Camera.{name}: expected finite numbers, got {getattr(self, name)}")
+        check_centre(self.centre_px, (self.width_px, self.height_px), "Camera.centre_px")
+        if max(map(abs, self.distortion)) > MAX_DISTORTION:
+            raise ValueError(f"Camera.distortion: expected at most {MAX_DISTORTION:g}, got {self.distortion}")
 
     def scaled(self, width_px: int, height_px: int) -> Camera:
         """The same camera with an image of another size and the same field of view."""

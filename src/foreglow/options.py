@@ -103,6 +103,22 @@ def _with_role(info: Any, role: str) -> Any:
     return info
 
 
+def listed(name: str, text: str) -> tuple[str, ...]:
+    """The names in the value of an option that takes several, with commas between them.
+
+    Raises:
+        ValueError: If one comes twice.
+
+    >>> listed("--split", "val, test")
+    ('val', 'test')
+    """
+    from foreglow.files import check_each_once
+
+    names = tuple(part.strip() for part in text.split(","))
+    check_each_once(names, name)
+    return names
+
+
 def refuse_unused(source: str, given: Mapping[str, bool]) -> None:
     """Refuses options that have no effect on a source: those of `given`, by name, that were given.
 

@@ -8,20 +8,28 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import inspect
 import pkgutil
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 Entry = TypeVar("Entry")
 
 MAX_WORDS = 2000
 """Characters of an error of somebody else's code, such as a plug-in, that are kept."""
 
-METHODS = {"estimator": ("estimate", "reset"), "tracker": ("update", "reset"), "policy": ("command", "shone", "reset")}
+Methods: TypeAlias = Mapping[str, Sequence[str]]
+"""The names of methods, and of what each is called with, beside `self`."""
+
+METHODS: Mapping[str, Methods] = {
+    "estimator": {"estimate": ("frame", "detections"), "reset": ()},
+    "tracker": {"update": ("frame", "detections", "ranges"), "reset": ()},
+    "policy": {"command": ("frame", "tracks"), "shone": ("command",), "reset": ()},
+}
 """What every plug-in of a kind has."""
 
 _RAISED_AT = "raised_in_plugin_at"
@@ -64,13 +72,13 @@ def make(
     table: Mapping[str, Callable[..., Entry]],
     group: str,
     *arguments: Any,
-    methods: Sequence[str],
+    methods: Methods,
 ) -> Entry:
     """What the entry that `name` stands for makes of `arguments`.
 
     Raises:
         ValueError: As `find`, or if what was plugged in does not take these arguments, or makes something without one
-            of the `methods`.
+            of the `methods`, or with one that is called otherwise.
     """
     entry = find(field, name, table, group)
     if name in table:
@@ -88,12 +96,12 @@ def make(
     return made
 
 
-def check_methods(origin: str, plugin: object, methods: Sequence[str]) -> None:
+def check_methods(origin: str, plugin: object, methods: Methods) -> None:
     """Checks a plug-in, a class or an object.
 
     Raises:
-        ValueError: If it lacks one of the `methods`, such as what a function returns that is no class; the message
-            begins with `origin`.
+        ValueError: If it lacks one of the `methods`, such as what a function returns that is no class, or one does not
+            take what it will be called with; the message begins with `origin`.
     """
     lacking = [method for method in methods if not callable(getattr(plugin, method, None))]
     if lacking:
@@ -102,6 +110,29 @@ def check_methods(origin: str, plugin: object, methods: Sequence[str]) -> None:
             f"{origin}: expected a class, or what makes an object, with the methods {', '.join(methods)}; "
             f"{kind.__name__} lacks {', '.join(lacking)}"
         )
+    for name, arguments in methods.items():
+        taken = _signature(plugin, name)
+        if taken is None:
+            continue
+        try:
+            taken.bind(*arguments)
+        except TypeError:
+            kind = plugin if isinstance(plugin, type) else type(plugin)
+            expected = f"expected {kind.__name__}.{name}({', '.join(arguments)})"
+            raise ValueError(f"{origin}: {expected}, got {name}({', '.join(taken.parameters)})") from None
+
+
+def _signature(plugin: object, method: str) -> inspect.Signature | None:
+    """How a method is called, without `self`; None where Python does not know, as of some that are written in C."""
+    try:
+        signature = inspect.signature(getattr(plugin, method))
+    except (TypeError, ValueError):
+        return None
+    if isinstance(plugin, type) and inspect.isfunction(inspect.getattr_static(plugin, method)):
+        first = next(iter(signature.parameters.values()), None)
+        if first is not None and first.kind in (first.POSITIONAL_ONLY, first.POSITIONAL_OR_KEYWORD):
+            signature = signature.replace(parameters=list(signature.parameters.values())[1:])
+    return signature
 
 
 def imported(field: str, target: str) -> Any:

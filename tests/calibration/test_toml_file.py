@@ -107,6 +107,15 @@ def test_what_may_be_left_out(tmp_path: Path) -> None:
         ("1312.0", "6.0", r"intrinsics\.focal_px: expected focal lengths in pixels, .* got 6 px, 178\.9 degrees"),
         ("1312.0", "nan", r"intrinsics\.focal_px\.0: .*finite number, got nan"),
         ("640.25", "inf", r"intrinsics\.centre_px\.0: .*finite number, got inf"),
+        (
+            "640.25",
+            "1e6",
+            r"camera\.toml: intrinsics\.centre_px: expected a principal point at most 2560 px outside the image of "
+            r"1280x960 px, got \(1e\+06, 480\)",
+        ),
+        ("480.0,", "-2561.0,", r"intrinsics\.centre_px: expected .* got \(640\.25, -2561\)"),
+        ("-0.05", "-1e7", r"intrinsics\.distortion\.0: .*greater than or equal to -1000000, got -10000000\.0"),
+        ("width_px = 1280", "width_px = 1048577", r"image\.width_px: .*less than or equal to 1048576, got 1048577"),
         ("1312.0", '"1312"', r"intrinsics\.focal_px\.0: .*valid number, got '1312'"),
         ("    1310.5,\n", "", r"intrinsics\.focal_px\.1: .*required, got \[1312.0\]"),
         ("pitch_deg = -0.7", "pitch_deg = -46", r"mount\.pitch_deg: .*-45, got -46"),
@@ -149,7 +158,7 @@ def test_any_camera_comes_back(
         7,
         5,
         (focal, focal / 3),
-        (number, 1 / 3),
+        (number / 80, 1 / 3),
         (number, 0.1, 0, 0, 0),
         Pose(np.array([number / 40, 0.1, 1 / 7]), turned),
     )

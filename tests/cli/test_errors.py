@@ -11,6 +11,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
 
 import cv2
@@ -18,8 +19,8 @@ import numpy as np
 import pytest
 
 from foreglow.cli import errors
-from foreglow.datasets import open_source
-from tests.cli.commands import PNG, foreglow_command
+from foreglow.datasets import open_source, shipped_drive
+from tests.cli.commands import PNG, complaint, foreglow_command
 
 
 def test_a_fault_of_ours_leaves_a_report(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -227,6 +228,41 @@ def test_a_package_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch, tmp_pa
     with pytest.raises(ImportError) as caught:
         space["read"]()  # type: ignore[operator]
     line = "cantools is installed, but cannot be loaded: libcan.so: no such file"
+    assert errors.one_line(caught.value) == (line, 2)
+
+
+def test_ros_2_whose_libraries_are_not_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its message has advice for its developers behind the reason; the way out is that of every ROS 2 program."""
+    pytest.importorskip("foxglove")
+    (tmp_path / "rclpy").mkdir()
+    reason = "librcl_action.so: cannot open shared object file: No such file or directory"
+    (tmp_path / "rclpy" / "__init__.py").write_text(f"raise ImportError({reason!r} + chr(10) + 'The C extension')")
+    for name in [name for name in sys.modules if name.startswith(("rclpy", "foreglow.runtime.ros2"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    line = complaint("record", shipped_drive(), "--limit", 1, "--out", tmp_path / "drive.mcap", "--ros2")
+    hint = "; source the setup file of ROS 2 first"
+    assert line == f"foreglow: rclpy is installed, but cannot be loaded: {reason}{hint}\n"
+    assert not list(tmp_path.glob("drive*"))
+
+
+@pytest.mark.parametrize("lacking", ["rclpy", "builtin_interfaces", "nav_msgs", "sensor_msgs", "std_msgs"])
+def test_a_part_of_ros_2_that_is_not_installed(lacking: str) -> None:
+    error = ModuleNotFoundError(f"No module named {lacking!r}", name=lacking)
+    line = f"{lacking} is not installed; this command needs: pip install 'foreglow[ros2]'"
+    assert errors.one_line(error) == (line, 2)
+
+
+def test_a_package_that_another_process_cannot_load() -> None:
+    """Its error comes back without the way to it; `concurrent`, through which it came, is not what is broken."""
+    future: Future[None] = Future()
+    future.set_exception(ImportError("librcl_action.so: cannot open shared object file"))
+    space: dict[str, object] = {"__name__": "foreglow.lab.made_up", "future": future}
+    exec("def wait():\n    future.result()\n", space)
+    with pytest.raises(ImportError) as caught:
+        space["wait"]()  # type: ignore[operator]
+    reason = "librcl_action.so: cannot open shared object file"
+    line = f"a package that this needs is installed, but cannot be loaded: {reason}"
     assert errors.one_line(caught.value) == (line, 2)
 
 

@@ -107,6 +107,40 @@ def test_time_benefit_of_two_splits(tmp_path: Path) -> None:
         assert json.loads((out / "results.json").read_text())["num_sequences"] == num
 
 
+def test_what_is_named_twice_would_count_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    root = make_pvdn(tmp_path / "data")
+    data, split = tmp_path / "data", root.name
+    other = data / root.relative_to(data).parent / "test"
+    learnt = other.with_name("train")
+    for link in (other, learnt):
+        link.symlink_to(root)
+    monkeypatch.chdir(root.parent)
+    out = ("--out", tmp_path / "out")
+    time_benefit = ("experiment", "time-benefit", data, *out, "--split")
+    once = "expected each once"
+    assert complaint(*time_benefit, f"{split}, {split}") == f"foreglow: --split: {once}, {split} comes twice\n"
+    assert f"--split: {once}, {other} comes twice" in complaint(*time_benefit, f"{split},test")
+    ranges = ("experiment", "detection-range", *out)
+    assert f"DATA: {once}, {split} comes twice" in complaint(*ranges, root, split)
+    assert f"--rows: {once}, paper comes twice" in complaint(
+        "experiment", "detector", data, *out, "--rows", "paper,paper"
+    )
+    distance = ("experiment", "distance", data, *out)
+    assert f"--estimators: {once}, gp comes twice" in complaint(*distance, "--estimators", "gp,psd_3d,gp")
+    runtime = ("experiment", "runtime", root, *out)
+    assert f"--on: {once}, process comes twice" in complaint(*runtime, "--on", "process", "--on", "process")
+    assert f"--straight: {once}, {split} comes twice" in complaint(
+        "reproduce", data, *out, "--straight", root, "--straight", split
+    )
+    assert f"--split: {once}, {split} comes twice" in complaint("annotate", data, "--split", split, "--split", split)
+    model = ("--out", tmp_path / "model")
+    assert f"DATA: {once}, {learnt} comes twice" in complaint("train", data, learnt, *model)
+    mixed = ("--from", "foreglow", "--mix", root, "--mix", split)
+    assert f"--mix: {once}, {split} comes twice" in complaint("train", data, *model, *mixed)
+    assert not (tmp_path / "out").exists()
+
+
 def test_bad_input_of_time_benefit(tmp_path: Path) -> None:
     experiment = ("experiment", "time-benefit", shipped_drive(), "--out", tmp_path / "out")
     assert "classifier.model: expected one" in complaint(*experiment, "--preset", "paper")
@@ -146,6 +180,21 @@ def test_distance(tmp_path: Path) -> None:
     record = json.loads((out / "results.json").read_text())
     assert {finding["estimator"] for finding in record["findings"]} == {"gp", "psd_3d"}
     assert (record["split"], record["made_with"]["seed"]) == ("night/val", 4)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_split_that_was_found_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    make_split(tmp_path / "drives", "val")
+    monkeypatch.chdir(tmp_path / "drives")
+    result = foreglow_command("experiment", "simulator", ".", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("measured on night/val\n")
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["name"] == "night/val"
+    (tmp_path / "none.json").write_text("{}")
+    result = foreglow_command("evaluate", ".", "--predictions", tmp_path / "none.json")
+    assert result.exit_code == 0, result.output
+    assert "\nnight/val" in result.stdout
 
 
 def test_bad_input_of_the_distance_experiment(data: Path, tmp_path: Path) -> None:

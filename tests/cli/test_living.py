@@ -201,7 +201,7 @@ def test_unreadable_images_are_left_out(tmp_path: Path) -> None:
     for source in (images, images / "000.png"):
         line = complaint("live", source, "--speed", 0, "--out", tmp_path / "nothing")
         assert "expected a readable frame; " in line
-        assert "000.png" in line
+        assert line.count("000.png") == 1
 
 
 def test_a_source_that_ends_with_an_error_leaves_its_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -97,6 +97,16 @@ def test_nothing_but_bad_images(tmp_path: Path, folder: Path, config: Path) -> N
     assert not (tmp_path / "out").exists()
 
 
+def test_a_bad_source_is_named_once(folder: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = folder / "000000.png"
+    image.write_text("no image")
+    monkeypatch.chdir(folder)
+    for name in (image, image.name, f"../{folder.name}/./{image.name}"):
+        line = complaint("run", name, "--out", folder / "out", "--config", config, "--on-error", "skip")
+        assert "000000.png: expected a readable frame; " in line
+        assert line.count("000000.png") == 1
+
+
 def test_run_on_the_real_frame_finds_the_published_boxes(tmp_path: Path) -> None:
     frame = shared_file("data/pvdn_frame_047433.png")
     config = tmp_path / "reference.toml"

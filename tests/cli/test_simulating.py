@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from foreglow.cli import app
 from foreglow.lab import simulation
-from foreglow.lab.simulation import Scene, Split, draw_scenes, read_scene, scene_to_toml
+from foreglow.lab.simulation import DatasetConfig, Scene, Split, draw_scenes, read_scene, scene_to_toml
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.cli.commands import complaint
 
@@ -78,6 +78,15 @@ def test_bad_options_are_told_before_all_scenes_are_drawn(
     monkeypatch.setattr(simulation, "draw_scenes", only_a_first)
     assert expected in complaint("simulate", "--out", tmp_path / "out", *option)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_seed_is_that_of_the_draw(scene_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes of one's own were not drawn: they have their seeds themselves, in `scenes.jsonl`."""
+    configs: list[DatasetConfig] = []
+    monkeypatch.setattr("foreglow.cli.simulate._simulate", lambda _scenes, _out, config, *_: configs.append(config))
+    foreglow("simulate", "--out", tmp_path, "--scene", scene_file)
+    foreglow("simulate", "--out", tmp_path, "--scenes", 1)
+    assert [config.seed for config in configs] == [None, 7]
 
 
 @pytest.mark.renderer
@@ -181,6 +190,8 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "best"), "preset: expected one of"),
+        (("--out", "unused", "--shares", "paper,paper"), "--shares: expected each once, paper comes twice"),
+        (("--out", "unused", "--camera", "phone,phone"), "--camera: expected different names, 'phone' comes twice"),
         (("--preview", "mine", "--scene", "a.toml", "--scene", "b.toml"), "--preview: expected one --scene, got 2"),
     ],
 )

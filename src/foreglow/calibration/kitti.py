@@ -17,7 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics
+from foreglow.calibration.values import (
+    MAX_IMAGE_SIDE_PX,
+    NO_DISTORTION,
+    Five,
+    ImageChoice,
+    Intrinsics,
+    checked_distortion,
+)
 from foreglow.files import MIB, read_text
 from foreglow.geometry import Floats
 
@@ -43,7 +50,8 @@ def read_kitti_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
         return entries.pinhole(f"P_rect_{number}", size_px)
     size_px = choice.checked_size_px(entries.size_px(f"S_{number}"), f"{path}: S_{number}")
     k1, k2, p1, p2, k3 = entries.numbers(f"D_{number}", 5).tolist()
-    return entries.pinhole(f"K_{number}", size_px, (k1, k2, p1, p2, k3))
+    distortion = checked_distortion((k1, k2, p1, p2, k3), f"{path}: D_{number}")
+    return entries.pinhole(f"K_{number}", size_px, distortion)
 
 
 class _Entries:
@@ -78,6 +86,9 @@ class _Entries:
             raise ValueError(
                 f"{self._path}: {key}: expected a width and a height in whole pixels, got {width}x{height}"
             )
+        if max(width, height) > MAX_IMAGE_SIDE_PX:
+            expected = f"expected a width and a height of at most {MAX_IMAGE_SIDE_PX} px"
+            raise ValueError(f"{self._path}: {key}: {expected}, got {width:g}x{height:g}")
         return int(width), int(height)
 
     def pinhole(self, key: str, size_px: tuple[int, int], distortion: Five = NO_DISTORTION) -> Intrinsics:

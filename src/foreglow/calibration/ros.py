@@ -23,7 +23,7 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics, Side
+from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics, Side, checked_distortion
 from foreglow.config import FrozenModel, validated
 from foreglow.files import read_yaml
 
@@ -103,7 +103,8 @@ def distortion_of(model: str, terms: tuple[float, ...], origin: str) -> Five:
     """k1, k2, p1, p2, k3 of ROS's distortion `model`.
 
     Raises:
-        ValueError: If the model is unknown, or needs terms beyond k3; the message begins with `origin`.
+        ValueError: If the model is unknown, needs terms beyond k3, or a term is that of no lens; the message begins
+            with `origin`.
     """
     if model not in MODELS:
         raise ValueError(
@@ -118,4 +119,4 @@ def distortion_of(model: str, terms: tuple[float, ...], origin: str) -> Five:
     if len(terms) not in (0, 4) and len(terms) < NUM_TERMS:
         raise ValueError(f"{origin}: distortion_coefficients: expected 0, 4, 5 or more numbers, got {len(terms)}")
     k1, k2, p1, p2, k3 = (*terms[:NUM_TERMS], *[0.0] * (NUM_TERMS - len(terms[:NUM_TERMS])))
-    return k1, k2, p1, p2, k3
+    return checked_distortion((k1, k2, p1, p2, k3), f"{origin}: distortion_coefficients")

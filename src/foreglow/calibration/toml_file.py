@@ -31,7 +31,7 @@ import tomli_w
 
 from foreglow.calibration.values import NO_DISTORTION, Five, Focal, ImageChoice, Intrinsics, Mount, Side, Two
 from foreglow.config import FrozenModel, read_toml, validated
-from foreglow.geometry import Camera, rotation_angles_rad
+from foreglow.geometry import Camera, check_centre, rotation_angles_rad
 
 ANGLE_DECIMALS = 12
 """Decimals of a degree in a file: far finer than any calibration, and coarse enough that angles survive the conversion
@@ -124,6 +124,7 @@ def calibration_to_toml(camera: Camera) -> str:
 
 def _intrinsics(file: _IntrinsicsFile, path: Path) -> Intrinsics:
     found = Intrinsics(**file.image.model_dump(), **file.intrinsics.model_dump())
+    check_centre(found.centre_px, (found.width_px, found.height_px), f"{path}: intrinsics.centre_px")
     return found.of_a_lens(f"{path}: intrinsics.focal_px")
 
 

@@ -9,21 +9,25 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.config import FrozenModel
-from foreglow.geometry import Camera, Floats, MountSigmas, Pose, rotation
+from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, Camera, Floats, MountSigmas, Pose, check_centre, rotation
 
 # TOML has lists where Python has tuples; what is in them stays strict.
 Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
 Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
-Five: TypeAlias = Annotated[tuple[float, float, float, float, float], Field(strict=False)]
-MIN_FOCAL_PX, MAX_FOCAL_PX = 1.0, 1e6
-"""Far beyond any lens; what is computed from other numbers overflows."""
+_Term: TypeAlias = Annotated[float, Field(ge=-MAX_DISTORTION, le=MAX_DISTORTION)]
+Five: TypeAlias = Annotated[tuple[_Term, _Term, _Term, _Term, _Term], Field(strict=False)]
+MIN_FOCAL_PX = 1.0
+"""Far beyond any lens, as is `MAX_FOCAL_PX`."""
+
+MAX_IMAGE_SIDE_PX = 2**20
+"""Far beyond any sensor; a calibration may be for larger images than those that are read, which are scaled."""
 
 MAX_FOV_DEG = 170.0
 """Of a lens whose images are flat; a focal length in millimetres in place of pixels gives more."""
 
 _Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
 Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
-Side: TypeAlias = Annotated[int, Field(ge=1)]
+Side: TypeAlias = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE_PX)]
 _Turn: TypeAlias = Annotated[float, Field(ge=-45, le=45)]
 """Yaw or pitch: beyond it a camera no longer looks along the road ahead, of which all ranges are."""
 _Roll: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
@@ -112,7 +116,8 @@ class Intrinsics(FrozenModel):
             distortion: k1, k2, p1, p2, k3.
 
         Raises:
-            ValueError: If a focal length is not positive, or the matrix is not fx 0 cx, 0 fy cy, 0 0 1.
+            ValueError: If a focal length is not positive, the principal point is far from the image, or the matrix is
+                not fx 0 cx, 0 fy cy, 0 0 1.
         """
         matrix = values.reshape(3, -1)[:, :3]
         fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
@@ -124,11 +129,13 @@ class Intrinsics(FrozenModel):
                 raise ValueError(f"{field}: {name}: {expected}, got {focal_px:g}")
         if matrix.tolist() != [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]:
             raise ValueError(f"{field}: expected fx 0 cx, 0 fy cy, 0 0 1, got {matrix.tolist()}")
+        centre_px = cx + HALF_PIXEL_PX, cy + HALF_PIXEL_PX
+        check_centre(centre_px, size_px, f"{field}: cx, cy")
         return cls(
             width_px=size_px[0],
             height_px=size_px[1],
             focal_px=(fx, fy),
-            centre_px=(cx + HALF_PIXEL_PX, cy + HALF_PIXEL_PX),
+            centre_px=centre_px,
             distortion=distortion,
         ).of_a_lens(field)
 
@@ -158,6 +165,17 @@ class Intrinsics(FrozenModel):
             vehicle_from_camera=mount.pose,
             mount_sigmas=mount.sigmas,
         )
+
+
+def checked_distortion(terms: Five, field: str) -> Five:
+    """`terms`, if they are those of a lens.
+
+    Raises:
+        ValueError: If one is beyond `MAX_DISTORTION`; the message begins with `field`.
+    """
+    if max(map(abs, terms)) > MAX_DISTORTION:
+        raise ValueError(f"{field}: expected coefficients of at most {MAX_DISTORTION:g}, got {list(terms)}")
+    return terms
 
 
 class ImageChoice(FrozenModel):

@@ -36,7 +36,8 @@ EXTRAS = {
     **dict.fromkeys(("libreyolo", "torchvision"), "yolo"),
     **dict.fromkeys(("cantools", "can"), "can"),
     **dict.fromkeys(("foxglove", "lz4", "zstandard"), "recordings"),
-    **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp"), "ros2"),
+    **dict.fromkeys(("rclpy", "rmw_fastrtps_cpp", "builtin_interfaces", "visualization_msgs"), "ros2"),
+    **dict.fromkeys(("diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs"), "ros2"),
     **dict.fromkeys(("dask", "distributed"), "scale"),
     "rerun": "view",
     "matplotlib": "plots",
@@ -192,7 +193,9 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     broken = _broken_package(error)
     if broken is not None:
-        return f"{broken} is installed, but cannot be loaded: {shortened(words_of(error), 400)}", 2
+        words = (words_of(error).splitlines() or [""])[0]  # ROS 2 goes on with advice for its developers
+        hint = "; source the setup file of ROS 2 first" if EXTRAS.get(broken) == "ros2" else ""
+        return f"{broken} is installed, but cannot be loaded: {shortened(words, 400)}{hint}", 2
     if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
         return "the working directory is there no more", 2
     closed = _closed_folder(error)
@@ -224,14 +227,16 @@ def _broken_package(error: BaseException) -> str | None:
     """The package of others that could not be imported although it is there, such as for a library that it lacks."""
     if not isinstance(error, ImportError) or isinstance(error, ModuleNotFoundError):
         return None
-    package = None
+    package, name = None, ""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         name = str(frame.f_globals.get("__name__", "")).partition(".")[0]
         if name == "foreglow":
             package = None
-        elif package is None and name != "importlib":
+        elif package is None and name not in sys.stdlib_module_names:
             package = name
     package = package or (error.name or "").partition(".")[0]
+    if not package and name in sys.stdlib_module_names:  # from another process, without the way to it
+        return "a package that this needs"
     return None if package in ("", "foreglow") else package
 
 

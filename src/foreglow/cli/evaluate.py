@@ -63,6 +63,7 @@ def evaluate(
 
     import rich
 
+    from foreglow.datasets.pvdn.splits import found_name
     from foreglow.files import to_json, write_json_results
     from foreglow.lab.reports.evaluation_page import examination_lines, write_report
     from foreglow.whole_files import together
@@ -78,7 +79,7 @@ def evaluate(
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     typer.echo(COMPARED)
-    rich.print(_table(examination.quality, str(split)))
+    rich.print(_table(examination.quality, found_name(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if examination.kinds is not None:
         rich.print(_kinds_table(examination.kinds))

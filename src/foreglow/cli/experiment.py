@@ -64,12 +64,14 @@ def reproduce(
 ) -> None:
     """Put every table, figure and number of the paper beside ours: one page, and the experiments behind it."""
     from foreglow.display.progress import StepProgress
+    from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.reproduction.page import answers, summary_lines, write_page
     from foreglow.lab.studies.reproduction.plan import MODELS, ReproductionPlan
     from foreglow.lab.studies.reproduction.run import run_experiments
 
     require_matplotlib()
+    check_each_once(straight or (), "--straight")
     given = (baseline_small_model, baseline_model, paper_model, published, yolo_small, yolo_large)
     words = {"--preset": pipeline.preset, "--model": pipeline.model, "--config": pipeline.config}
     plan = ReproductionPlan(
@@ -88,4 +90,7 @@ def reproduce(
     with StepProgress() as progress:
         outcomes = run_experiments(plan, out, workers=work.workers(), progress=progress)
     report = write_page(plan, outcomes, out)
+    for name, outcome in outcomes.items():
+        if outcome.has_failed:
+            typer.echo(f"{name} could not be finished: {outcome.reason}", err=True)
     typer.echo("\n".join([*summary_lines(answers(plan, outcomes)), f"look in {report}"]))

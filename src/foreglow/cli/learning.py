@@ -49,11 +49,12 @@ def annotate(
     import rich
 
     from foreglow.display.progress import StepProgress
-    from foreglow.files import write_json_results
+    from foreglow.files import check_each_once, write_json_results
     from foreglow.lab.learning.annotation import annotate_split, splits_to_annotate
 
     workers = work.workers()
     configuration = PipelineOptions(preset=preset, config=config).configuration()
+    check_each_once(split or (), "--split")
     roots = splits_to_annotate(data, tuple(split or ()))
     with locked({str(root): root / "labels" for root in roots}), StepProgress() as progress:
         annotations = [
@@ -186,6 +187,7 @@ def train(
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
     from foreglow.config import PRESETS
+    from foreglow.files import check_each_once
     from foreglow.lab.learning import recipes
     from foreglow.lab.learning.training_progress import TrainingBar
     from foreglow.lab.learning.training_run import train_model
@@ -214,6 +216,7 @@ def train(
     check_own(out, TRAINING)
     if len({path.resolve() for path in data}) < len(data):
         raise ValueError(f"{', '.join(map(str, data))}: expected each data set once")
+    check_each_once(mix or (), "--mix")
     try:
         with TrainingBar() as progress:
             how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}

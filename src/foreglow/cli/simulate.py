@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, option, size_from, with_options
+from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, listed, option, size_from, with_options
 
 if TYPE_CHECKING:
     from foreglow.lab import simulation
@@ -98,7 +98,8 @@ def simulate(
     elif out is None:
         raise ValueError("simulate: expected --out DIR, --preview NAME, --print NAME or --print-camera NAME")
     else:
-        config = simulation.DatasetConfig.of(seed=seed, split=split, cycle=cycle, quality=quality)
+        drawn_with = None if scene else seed  # scenes of one's own have their seeds themselves
+        config = simulation.DatasetConfig.of(seed=drawn_with, split=split, cycle=cycle, quality=quality)
         exposing = _exposing(config, camera, variants, shares)
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
             own_split = cast("simulation.Split", split)
@@ -204,7 +205,7 @@ def _exposing(config: DatasetConfig, camera: str | None, num_variants: int, shar
 
     if camera is None and num_variants == 1 and shares is None:
         return None
-    presets = () if shares is None else tuple(name.strip() for name in shares.split(","))
+    presets = () if shares is None else listed("--shares", shares)
     profiles = (None,) if camera is None else read_profiles(camera)
     return _Exposing(tuple(config.exposed_for(profile, presets) for profile in profiles), num_variants, presets)
 

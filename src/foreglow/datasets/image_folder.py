@@ -31,6 +31,15 @@ _EXIF_TIME = re.compile(rb"(\d{4}:\d\d:\d\d \d\d:\d\d:\d\d)\0")
 _EXIF_BYTES = 1 << 17  # Exif data are among the first segments of a JPEG, and have less than 64 KiB
 
 
+def earlier_name(name: str) -> str:
+    """What an image's earlier one is called beside it, if there is one.
+
+    >>> earlier_name("000012.png")
+    '000012_earlier.png'
+    """
+    return f"{PurePosixPath(name).stem}_earlier.png"
+
+
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """A sort key by which numbers inside names count as numbers.
 
@@ -66,6 +75,7 @@ def frame_numbers(folder: Path) -> dict[str, int]:
 class ImageFolder(FileSource):
     """One image, or the images directly inside a folder in natural order of their names.
 
+    An image `000012_earlier.png` beside `000012.png`, as data sets of single images have it, is no frame of its own.
     Frames are numbered as `frame_numbers` says; a skipped image keeps its number. As image files carry no time, the
     timestamp is the place in that order divided by `rate_hz`. The images are one drive and have no sequence, unless
     they are photographs: an image of another size than the one before, or that was taken more than `MAX_STEP` from it
@@ -176,6 +186,8 @@ def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
     # What is no file, such as a link to nothing, is not passed over either: reading it says what is wrong.
     paths = [path for path in folder.iterdir() if not path.name.startswith(".") and not path.is_dir()]
     files = [path for path in paths if path.suffix.lower() in IMAGE_SUFFIXES]
+    earlier = {earlier_name(path.name) for path in files}
+    files = [path for path in files if path.name not in earlier]
     others = sorted(path for path in paths if path.suffix.lower() in OTHER_IMAGES)
     messages = [f"{path}: expected an image that is {known_formats()}, got another format" for path in others]
     if not files:

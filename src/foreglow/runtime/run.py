@@ -8,10 +8,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import re
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
@@ -184,7 +186,11 @@ def step_through(
 def check_readable(name: str, tally: Tally, skipped: Sequence[str]) -> None:
     """ValueError if all frames of the source called `name` were skipped."""
     if not tally.num_frames and skipped:
-        raise ValueError(f"{name}: expected a readable frame; {skipped[0]}")
+        line = skipped[0]
+        ends = [found.start() for found in re.finditer(": ", line)]
+        end = next((end for end in ends if Path(line[:end]).absolute() == Path(name).absolute()), None)
+        reason = line if end is None else line[end + 2 :]  # of the source itself, not of a file in it
+        raise ValueError(f"{name}: expected a readable frame; {reason}")
 
 
 class Replay:

@@ -16,6 +16,9 @@ MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
 """No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2. None
 dives or squats by 20 degrees."""
 
+MAX_HALF_WIDTH_M, MAX_ROAD_NUMBER = 200.0, 1e9
+"""No carriageway of a map is so wide; and no coordinate or slope is so large, of which others can be computed."""
+
 MIN_STEP_S = 1e-3
 """No camera takes images in shorter intervals."""
 
@@ -66,8 +69,8 @@ class RoadAhead(Value):
         error_bound_m: Largest error of the assumed position along the road; infinite where unknown.
 
     Raises:
-        ValueError: If a shape is wrong, a number is not finite (the bound: NaN or negative), or two neighbouring
-            points are the same.
+        ValueError: If a shape is wrong, a number is not finite (the bound: NaN or negative) or that of no road, or two
+            neighbouring points are the same.
     """
 
     points_m: NDArray[np.float64]
@@ -81,6 +84,10 @@ class RoadAhead(Value):
             raise ValueError(f"RoadAhead.points_m: expected shape (N, 3) with N >= 2, got {points.shape}")
         if not np.isfinite(points).all():
             raise ValueError("RoadAhead.points_m: expected finite numbers, got NaN or infinity")
+        if np.abs(points).max() > MAX_ROAD_NUMBER:
+            raise ValueError(
+                f"RoadAhead.points_m: expected at most {MAX_ROAD_NUMBER:g} m, got {np.abs(points).max():g}"
+            )
         is_same = ~np.diff(points, axis=0).any(axis=1)
         if is_same.any():
             raise ValueError(
@@ -89,11 +96,16 @@ class RoadAhead(Value):
             )
         if not (math.isfinite(self.half_width_m) and self.half_width_m > 0):
             raise ValueError(f"RoadAhead.half_width_m: expected a positive number, got {self.half_width_m}")
+        if self.half_width_m > MAX_HALF_WIDTH_M:
+            raise ValueError(f"RoadAhead.half_width_m: expected at most {MAX_HALF_WIDTH_M:g}, got {self.half_width_m}")
         if not self.error_bound_m >= 0:
             raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {self.error_bound_m}")
         slopes = np.array(self.cross_slopes, np.float64) if np.size(self.cross_slopes) else np.zeros(len(points))
         if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
             raise ValueError(f"RoadAhead.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
+        if np.abs(slopes).max() > MAX_ROAD_NUMBER:
+            expected = f"expected numbers of at most {MAX_ROAD_NUMBER:g}"
+            raise ValueError(f"RoadAhead.cross_slopes: {expected}, got {np.abs(slopes).max():g}")
         object.__setattr__(self, "points_m", frozen_view(points))
         object.__setattr__(self, "cross_slopes", frozen_view(slopes))
 

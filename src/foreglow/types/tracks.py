@@ -131,7 +131,11 @@ _TRACK_DTYPES: Mapping[str, np.dtype[np.generic]] = MappingProxyType(
     }
 )
 
+MAX_PX = 1e6
+"""Largest coordinate of a box in pixels, either way; beyond 2^31 nothing could be drawn."""
+
 _LIMITS = (
+    ("boxes_xyxy_px", -MAX_PX, MAX_PX),
     ("states", min(TrackState), max(TrackState)),
     ("confidences", 0.0, 1.0),
 )

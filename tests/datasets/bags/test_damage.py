@@ -191,6 +191,18 @@ def test_a_length_that_leads_out_of_the_file(tmp_path: Path) -> None:
         list(Recording(path, topic=TOPIC))
 
 
+def test_a_recording_behind_another(whole: Path) -> None:
+    """As `cat` puts them together: only the first was read, and nothing said so."""
+    both = whole.with_name(f"both{whole.suffix}")
+    both.write_bytes(2 * whole.read_bytes())
+    with pytest.raises(ValueError, match=rf"{both}: byte {whole.stat().st_size}: expected the end of the recording"):
+        list(Recording(both))
+    source = Recording(both, on_error="skip")
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES)
+    (line,) = source.skipped
+    assert line.endswith("is not read: join recordings with their own tools, not with `cat`")
+
+
 def test_what_a_killed_rosbag_left(tmp_path: Path) -> None:
     """Its header has no position of an index yet."""
     data = bytearray(_bag(tmp_path).read_bytes())

@@ -105,3 +105,11 @@ def test_a_camera_for_another_size_is_refused() -> None:
     record = FrameMessage.of(Frame(IMAGE, 0, camera=camera))
     with pytest.raises(ValueError, match=r"Frame\.camera: expected a calibration for images of 65x48 px"):
         record.frame_of(np.zeros((48, 65), np.uint8), "there")
+
+
+def test_a_recorded_camera_of_no_lens_is_refused() -> None:
+    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
+    fields = json.loads(FrameMessage.of(Frame(IMAGE, 0, camera=camera)).to_json())
+    fields["camera"]["centre_px"] = [1e6, 24.0]
+    with pytest.raises(ValueError, match=r"here: .*centre_px: expected a principal point at most 128 px outside"):
+        parse_json(json.dumps(fields), FrameMessage, "here")

@@ -43,6 +43,11 @@ def coco(**changes: Any) -> str:
     return json.dumps(file | changes)
 
 
+def sized(width_px: int) -> dict[str, Any]:
+    value = {"x": 1, "y": 2, "keypointlabels": ["light"]}
+    return {"type": "keypointlabels", "original_width": width_px, "original_height": 72, "value": value}
+
+
 def task(value: Any = None, address: Any = "a.png", **region: Any) -> str:
     point = {"id": "r", "type": "keypointlabels", "original_width": 96, "original_height": 72}
     point["value"] = {"x": 1, "y": 2, "keypointlabels": ["light"]} | (value or {})
@@ -60,6 +65,17 @@ FILES = {
     "an address that climbs": (".json", task(address="/data/local-files/?d=../../x.png"), "image: expected a path"),
     "no address": (".json", task(address=7), "data.image: expected the address of an image, got 7"),
     "no size": (".json", task(original_width=None), "expected original_width and original_height"),
+    "a rotated image": (".json", task(image_rotation=90), "image_rotation: expected 0, an image as it is stored"),
+    "a rotated box": (
+        ".json",
+        task({"rectanglelabels": ["light"], "width": 1, "height": 2, "rotation": 30}, type="rectanglelabels"),
+        "rotation: expected 0, an upright box, got 30",
+    ),
+    "two sizes of an image": (
+        ".json",
+        json.dumps([{"data": {"image": "a.png"}, "annotations": [{"result": [sized(96), sized(1)]}]}]),
+        "original_width, original_height: expected (96, 72) as before, got (1, 72)",
+    ),
     "a point that is none": (".xml", image(inside='<points label="light" points="1,nan"/>'), "expected a point within"),
     "a point without end": (".xml", image(inside='<points label="light" points="1e99,1"/>'), "expected a point within"),
     "points of a text": (".xml", image(inside='<points label="light" points="left"/>'), "points: expected x,y;x,y"),

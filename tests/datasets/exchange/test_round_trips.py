@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from foreglow.classifier.inputs import InputMaker, InputSpec
-from foreglow.datasets import PVDN, Video, open_labelled, open_source, write_pvdn
+from foreglow.datasets import PVDN, ImageFolder, Video, open_labelled, open_source, write_pvdn
 from foreglow.datasets.exchange import (
     LABEL_FORMATS,
     LabelFile,
@@ -21,7 +21,7 @@ from foreglow.datasets.exchange import (
     write_labels_file,
     write_split,
 )
-from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, vehicles_of
+from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, marks_of, vehicles_of
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.types import Proposals
@@ -239,6 +239,27 @@ def test_the_categories_of_the_tools_are_ours() -> None:
     from foreglow.datasets.exchange.marks import CATEGORIES
 
     assert set(CATEGORIES.values()) == set(ImageCategory) - {ImageCategory.NONE}
+
+
+def test_earlier_images_are_no_frames(tmp_path: Path) -> None:
+    """A labelled part of a video as a data set, and that as a video's frames again: labels stay on their images."""
+    clip = make_video(tmp_path / "clip.mp4")
+    marks = {number: (Mark(Kind.LIGHT, (number, 8)),) for number in (2, 10, 16, 22)}
+    images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72), found) for number, found in marks.items())
+    write_labels_file(tmp_path / "a.xml", LabelSet(images, is_video=True), "cvat")
+    write_split(LabelFile(tmp_path / "a.xml", clip), tmp_path / "own")
+    folder = next((tmp_path / "own/images").iterdir())
+    assert [path.name for path in folder.glob("*_earlier.png")] == ["000010_earlier.png"]
+    exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video")
+    write_split(LabelFile(tmp_path / "b.xml", folder), tmp_path / "back")
+    own, back = PVDN(tmp_path / "own"), PVDN(tmp_path / "back")
+    assert back.frame_ids == own.frame_ids == tuple(marks)
+    for image_id in own.frame_ids:
+        np.testing.assert_array_equal(back.read(image_id).image, own.read(image_id).image)
+        assert [mark.position_px for mark in marks_of(back.annotations(image_id)) if mark.kind == Kind.LIGHT] == [
+            (image_id, 8)
+        ]
+    assert [frame.frame for frame in ImageFolder(folder)] == list(marks)
 
 
 def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: Path) -> None:

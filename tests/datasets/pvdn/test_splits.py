@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import split_folder, split_in
+from foreglow.datasets.pvdn.splits import found_name
 
 
 def make_split(path: Path) -> Path:
@@ -46,3 +47,15 @@ def test_a_split_itself_or_one_of_a_data_set(tmp_path: Path) -> None:
     assert split_in(tmp_path, "val") == split
     with pytest.raises(FileNotFoundError, match="expected the split test in it"):
         split_in(tmp_path, "test")
+
+
+def test_what_a_path_stands_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    split = make_split(tmp_path / "night" / "val")
+    (split / "images" / "S00001").mkdir(parents=True)
+    assert found_name(tmp_path) == found_name(split) == str(split)
+    assert found_name(split / "images" / "S00001") == str(split / "images" / "S00001")
+    monkeypatch.chdir(tmp_path)
+    assert found_name(Path()) == "night/val"
+    monkeypatch.chdir(split)
+    assert found_name(Path()) == str(split.resolve())
+    assert found_name(Path("labels.json")) == "labels.json"

@@ -226,6 +226,43 @@ def test_a_broken_line_is_named(line: str, tmp_path: Path) -> None:
     assert not re.search("unpack|convert|literal|integer", str(error.value))
 
 
+@pytest.mark.parametrize("suffix", [".asc", ".log"])
+def test_logs_put_together(suffix: str, tmp_path: Path, drive: list[tuple[int, StreetMessage]]) -> None:
+    """Frames were put in order, so that the messages of two drives were mixed."""
+    path = tmp_path / f"drive{suffix}"
+    write_can_log(path, drive)
+    text = path.read_text()
+    frames = "".join(line for line in text.splitlines(keepends=True) if re.search(r"3A[0-9A-F]", line))
+    path.write_text(text + frames)
+    number = len(text.splitlines()) + 1
+    expected = (
+        rf"line {number}: expected times that do not fall by more than 1 s, got 0\.0+ s after 9\.90*\d? s: a clock"
+    )
+    with pytest.raises(ValueError, match=rf"drive\{suffix}: {expected}"):
+        read_can_log(path)
+
+
+def test_a_blf_whose_clock_was_set(tmp_path: Path) -> None:
+    can = pytest.importorskip("can")
+    path = tmp_path / "drive.blf"
+    with can.BLFWriter(path) as writer:
+        for time_s in (100.0, 110.0, 105.0):
+            writer.on_message_received(
+                can.Message(timestamp=time_s, arbitration_id=0x3A2, data=bytes(8), is_extended_id=False)
+            )
+    with pytest.raises(ValueError, match=r"drive\.blf: expected times that do not .* got 5\.0+ s after 10\.0+ s"):
+        read_can_log(path)
+
+
+def test_messages_of_two_buses_are_put_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    write_can_log(path, [(0, message()), (8 * TENTH, message(2))])
+    first, *others = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*others, first]))
+    log = read_can_log(path)
+    assert log.street(9 * TENTH) == message(2)
+
+
 @pytest.mark.parametrize("begin_ns", [0, 1_700_000_000_000_000_000])
 def test_every_kind_of_log_says_the_same_of_a_frame(begin_ns: int, tmp_path: Path) -> None:
     """Messages at the very times of frames, at 18 Hz: text rounds them to microseconds, upwards or downwards."""

@@ -29,8 +29,8 @@ def scenes(*lengths_m: float) -> list[Scene]:
     return [lit, *dark]
 
 
-def write(out: Path, split: str, drawn: list[Scene]) -> None:
-    simulate_dataset(out, drawn, drive, DatasetConfig(split=split, seed=5))
+def write(out: Path, split: str, drawn: list[Scene], seed: int | None = 5) -> None:
+    simulate_dataset(out, drawn, drive, DatasetConfig(split=split, seed=seed))
 
 
 def test_the_card_counts_drives_images_and_minutes(tmp_path: Path) -> None:
@@ -43,6 +43,11 @@ def test_the_card_counts_drives_images_and_minutes(tmp_path: Path) -> None:
     assert "| car | 2 |" in text
     assert "| left-hand traffic | 2 |" in text
     assert "seed 5" in text
+
+
+def test_scenes_of_ones_own_have_no_seed_of_a_draw(tmp_path: Path) -> None:
+    write(tmp_path, "train", scenes(400, 500), seed=None)
+    assert ", of scenes that were not drawn; no two" in write_data_card(tmp_path).read_text()
 
 
 def test_cameras_of_the_same_drives_are_counted_once(tmp_path: Path) -> None:

@@ -11,6 +11,9 @@ from foreglow.pipeline import Pipeline
 from foreglow.runtime.live import LiveLoop, LiveSource, LiveSummary
 from foreglow.types import Frame, FrameResult
 
+BEGIN, END = 20, 30
+"""In these frames something is wrong; there are 60."""
+
 
 class Keeper:
     """A live sink that keeps everything."""

@@ -117,7 +117,7 @@ def camera(focal_px: float = 1356.5, centre_px: float = 640.2) -> Camera:
     return Camera(1280, 960, (focal_px, focal_px / 1.1), (centre_px, 495.0), lens, mount.pose)
 
 
-@given(st.floats(100, 5000), st.floats(0.5, 5000))
+@given(st.floats(100, 5000), st.floats(0.5, 3800))
 def test_cameras_come_back(focal_px: float, centre_px: float) -> None:
     sent = camera(focal_px, centre_px)
     size_px, intrinsics = read_camera_info(camera_info_message(HEADER, (1280, 960), sent), "t")
@@ -143,6 +143,8 @@ def test_no_calibration_is_none() -> None:
         ("d", [math.nan] * 5, "d: expected finite numbers"),
         ("k", [math.inf] * 9, "k: expected finite numbers"),
         ("k", [-5.0, 0, 3, 0, 5.0, 3, 0, 0, 1.0], "fx: expected a positive"),
+        ("d", [1e7, 0.0, 0.0, 0.0, 0.0], "distortion_coefficients: expected coefficients of at most"),
+        ("k", [1312.0, 0, 1e6, 0, 1312.0, 480, 0, 0, 1.0], "k: cx, cy: expected a principal point at most 2560 px"),
         ("binning_x", 2, "roi, binning"),
     ],
 )
@@ -229,6 +231,10 @@ def test_no_road_is_none_and_a_broken_one_is_refused() -> None:
     with pytest.raises(ValueError, match=r"road: RoadAhead\.points_m: expected finite"):
         read_road(message, "road")
     message = road_message(HEADER, RoadAhead(np.array([[0.0, 0, 0], [5, 0, 0]]), 3.5))
+    for start in (32, 80):  # half_width_m of both rows
+        message.data[start : start + 8] = array.array("B", np.float64(1e6).tobytes())
+    with pytest.raises(ValueError, match=r"road: RoadAhead\.half_width_m: expected at most 200, got 1000000"):
+        read_road(message, "road")
     message.data[32:40] = array.array("B", np.float64(9.0).tobytes())
     with pytest.raises(ValueError, match="road: half_width_m, error_bound_m: expected the same"):
         read_road(message, "road")

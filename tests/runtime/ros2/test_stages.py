@@ -136,6 +136,28 @@ def test_whatever_happens_there_is_low_beam_and_it_recovers(
     assert {state.name for state in bench.states} == {"foreglow: pipeline"}
 
 
+def with_no_time(message: Any) -> None:
+    message.header.stamp.nanosec = 2_000_000_000
+
+
+def with_a_long_name(message: Any) -> None:
+    message.header.frame_id = "S" * 1000
+
+
+def test_a_header_that_cannot_be_read_is_low_beam_at_once(bench: Bench, frame: Frame) -> None:
+    """Such a message belongs to no frame, and without it no frame is complete: low beam came by the deadline."""
+    for topic in (topics.IMAGE, topics.CAMERA_INFO, topics.TWIST):
+        for spoil in (with_no_time, with_a_long_name):
+            bench.until("", frame)
+            count = len(bench.commands)
+            bench.until(BAD_MESSAGE, frame, lambda messages, topic=topic, spoil=spoil: spoil(messages[topic]))
+            refused = next(one for one in bench.commands[count:] if one.faults)
+            assert (refused.mode, refused.faults) == (BeamMode.LOW, (BAD_MESSAGE,))
+            assert BAD_MESSAGE in bench.node.faults
+    bench.until("", frame)
+    assert not bench.node.faults
+
+
 @needs_processes
 def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:
     bench.until("", frame)

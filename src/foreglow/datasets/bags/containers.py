@@ -78,6 +78,14 @@ def is_partial(path: Path) -> bool:
     return path.name.endswith(PARTIAL_SUFFIXES)
 
 
+def continuation(path: Path, end: int, size: int) -> str:
+    """A message about what lies behind a recording that ends at byte `end` of `size`, such as another recording."""
+    return (
+        f"{path}: byte {end}: expected the end of the recording, what follows ({size - end} bytes) is not read: join "
+        "recordings with their own tools, not with `cat`"
+    )
+
+
 def check_num_topics(topics: Collection[object]) -> None:
     """Passes as many topics as are read.
 

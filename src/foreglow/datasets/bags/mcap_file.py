@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from foreglow.datasets.bags.containers import MAX_BYTES, Message, Refuse, Topic, decompressed, is_partial
+from foreglow.datasets.bags.containers import MAX_BYTES, Message, Refuse, Topic, continuation, decompressed, is_partial
 from foreglow.datasets.bags.cursor import Cursor
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -48,6 +48,7 @@ class McapFile:
             file.seek(len(MAGIC))
             for position, kind, length in self._heads(file, refuse):
                 if kind in (_DATA_END, _FOOTER):
+                    self._check_end(file, position, refuse)
                     return
                 if kind not in _READ:
                     continue
@@ -70,6 +71,21 @@ class McapFile:
         counts = self._read_summary(channels)
         wanted = [number for number, topic in channels.topics.items() if topic.name == name]
         return sum(counts.get(number, 0) for number in wanted) if counts and wanted else None
+
+    def _check_end(self, file: BinaryIO, position: int, refuse: Refuse) -> None:
+        """Refuses what lies behind the footer; `position` is that of a record after all messages.
+
+        What is between them may be damaged, as it is not needed.
+        """
+        file.seek(position)
+        end = self._size
+        with contextlib.suppress(ValueError):
+            for found, kind, length in self._heads(file, _raise):
+                if kind == _FOOTER and length == _FOOTER_BYTES:
+                    end = found + _HEAD_BYTES + length + len(MAGIC)
+                    break
+        if end < self._size:
+            refuse(continuation(self._path, end, self._size))
 
     def _read_summary(self, channels: _Channels) -> dict[int, int]:
         """Adds the definitions at the end of the file to `channels`, and returns the numbers of messages by channel.

@@ -16,6 +16,7 @@ from foreglow.datasets.bags.containers import (
     Refuse,
     Topic,
     check_num_topics,
+    continuation,
     decompressed,
     is_partial,
 )
@@ -74,7 +75,11 @@ class Ros1Bag:
                 refuse(f"{self._path}: {error}")
                 return
         if end < self._size and not self.truncation and not is_partial(self._path):
-            refuse(f"{self._path}: byte {end}: expected a record, it is malformed")
+            with self._path.open("rb") as file:
+                file.seek(end)
+                is_other = file.read(len(MAGIC)) == MAGIC
+            malformed = f"{self._path}: byte {end}: expected a record, it is malformed"
+            refuse(continuation(self._path, end, self._size) if is_other else malformed)
 
     def count(self, name: str) -> int | None:  # noqa: ARG002
         """As in `Container`: unknown."""

@@ -9,7 +9,15 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from urllib.parse import quote
 
-from foreglow.datasets.bags.containers import MAX_BYTES, Container, Message, Refuse, Topic, check_num_topics
+from foreglow.datasets.bags.containers import (
+    MAX_BYTES,
+    Container,
+    Message,
+    Refuse,
+    Topic,
+    check_num_topics,
+    continuation,
+)
 from foreglow.datasets.bags.mcap_file import McapFile
 from foreglow.files import read_yaml
 
@@ -53,6 +61,10 @@ class SqliteBag:
         if size < expected and size % page:
             raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
         self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
+        with path.open("rb") as file:
+            file.seek(expected)
+            is_continued = expected > 0 and file.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
+        self._continuation = continuation(path, expected, size) if is_continued else ""
         try:
             with closing(self._connect(MAX_TOPIC_BYTES)) as connection:
                 _check_tables(connection)
@@ -80,6 +92,8 @@ class SqliteBag:
                     yield Message(self._topics[number], log_time_ns, memoryview(data))
         except SQLITE_ERRORS as error:
             refuse(f"{self._path}: damaged file: {error}")
+        if self._continuation:
+            refuse(self._continuation)
 
     def count(self, name: str) -> int | None:
         """As in `Container`."""

@@ -47,6 +47,7 @@ class Region(Record):
     value: dict[str, Any] = Field(default_factory=dict)
     original_width: Size | None = None
     original_height: Size | None = None
+    image_rotation: float = 0.0
 
 
 class Annotation(Record):
@@ -132,7 +133,14 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
             continue
         if region.original_width is None or region.original_height is None:
             raise ValueError(f"{where}: expected original_width and original_height, got none")
-        size_px = region.original_width, region.original_height
+        if region.image_rotation:
+            raise ValueError(
+                f"{where}: image_rotation: expected 0, an image as it is stored, got {region.image_rotation:g}"
+            )
+        found_px = region.original_width, region.original_height
+        if size_px is not None and found_px != size_px:
+            raise ValueError(f"{where}: original_width, original_height: expected {size_px} as before, got {found_px}")
+        size_px = found_px
         marks.append(_mark(Kind(names[0]), region.value, size_px, said.get(key, {}), where))
     return ImageLabels(name, size_px, tuple(marks), tuple(categories))
 
@@ -142,6 +150,8 @@ def _mark(
 ) -> Mark:
     x, y = (_percent(value, name, origin) for name in "xy")
     if "rectanglelabels" in value:
+        if value.get("rotation"):
+            raise ValueError(f"{origin}: rotation: expected 0, an upright box, got {shortened(value['rotation'])}")
         x, y = x + _percent(value, "width", origin) / 2, y + _percent(value, "height", origin) / 2
     choices = _texts(said.get("is", {}).get("choices"), origin)
     return Mark(

@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
-from foreglow.datasets.image_folder import frame_numbers, natural_key, number_in
-from foreglow.datasets.images import IMAGE_SUFFIXES, read_image
+from foreglow.datasets.image_folder import frame_numbers, number_in
+from foreglow.datasets.images import read_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
@@ -215,12 +215,12 @@ class LabelFile(LabelledSource):
         images = self.labels.images
         if self._video is not None or not self.labels.is_video:
             return images
-        paths = [path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
-        names = sorted((path.name for path in paths), key=natural_key)
+        names = list(frame_numbers(self._folder))
         numbers = [int(image.name) for image in images]
         if numbers[-1] >= len(names):
             raise ValueError(
                 f"{self._folder}: expected an image for frame {numbers[-1]} of {self.path}, found {len(names)} images"
+                " (earlier images beside others are no frames)"
             )
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
 

@@ -86,6 +86,17 @@ def find_split(folder: Path) -> tuple[Path, str | None]:
     return (below or [folder])[0], None
 
 
+def found_name(path: Path) -> str:
+    """What `path` stands for, for a person to read: the split that was found in it, and never merely `.`.
+
+    Raises:
+        ValueError: If there are several splits below.
+    """
+    found, sequence = find_split(path) if path.is_dir() else (path, None)
+    named = found if sequence is None else path
+    return str(named.resolve() if named.name in ("", "..") else named)
+
+
 def _splits_below(folder: Path) -> list[Path]:
     found = [labels.parents[1] for depth in ("*", "*/*") for labels in folder.glob(f"{depth}/labels/sequences.json")]
     return sorted(found)

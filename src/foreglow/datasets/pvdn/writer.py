@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from foreglow.datasets.image_folder import earlier_name
 from foreglow.datasets.images import png
 from foreglow.datasets.json_files import read_json, write_json
 from foreglow.datasets.pvdn.reader import PVDN
@@ -199,7 +200,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         if labelled.earlier is None:
             return record
         age_ms = (frame.timestamp_ns - labelled.earlier.timestamp_ns) / 1e6
-        name = f"{frame.frame:06d}_earlier.png"
+        name = earlier_name(record.file_name)
         return record.model_copy(update={"earlier": EarlierImage(file_name=name, age_ms=age_ms)})
 
     def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:

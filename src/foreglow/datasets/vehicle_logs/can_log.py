@@ -149,8 +149,8 @@ def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None
     Raises:
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If cantools or python-can is not installed (extra `can`).
-        ValueError: If a file is broken, the mapping names something that the DBC does not have, or the log has none of
-            its frames.
+        ValueError: If a file is broken, the log's times jump back, the mapping names something that the DBC does not
+            have, or the log has none of its frames.
     """
     path = Path(path)
     decoder = CanDecoder(dbc, mapping)

@@ -25,6 +25,10 @@ MAX_LOG_LINE_BYTES = 1 << 16
 MAX_LOG_FRAMES = 2_000_000
 """Frames of interest in a log, which take half a kilobyte each: hours of motion and road."""
 
+MAX_STEP_BACK_NS = 1_000_000_000
+"""Frames of several buses may be stored a little out of order; if times fall by more, a clock was set, or logs were
+put together, and the frames of two drives would be mixed."""
+
 MAX_OBJECT_BYTES = 1 << 24
 """Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
 
@@ -47,7 +51,7 @@ def read_frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey,
     Raises:
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If python-can is not installed (extra `can`).
-        ValueError: If the log is broken, or beyond a bound.
+        ValueError: If the log is broken, or beyond a bound, or its times jump back.
     """
     import can
 
@@ -58,7 +62,8 @@ def read_frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey,
     if reader is None:
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
     check_file(path, MAX_LOG_BYTES)
-    found = []
+    found: list[tuple[int, CanKey, bytes]] = []
+    latest_ns = -math.inf
     if reader is can.BLFReader:
         _check_objects(path)
     # Opened here: BLFReader leaves a broken file open. Text is ASCII but for comments, in whatever encoding.
@@ -69,7 +74,13 @@ def read_frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey,
             if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
                 if not math.isfinite(frame.timestamp):
                     raise ValueError(f"{_where(file, path)}: expected the time of a frame, got {frame.timestamp}")
-                found.append((round(frame.timestamp * 1e9), key, bytes(frame.data)))
+                time_ns = round(frame.timestamp * 1e9)
+                if time_ns < latest_ns - MAX_STEP_BACK_NS:
+                    expected = f"expected times that do not fall by more than {MAX_STEP_BACK_NS / 1e9:g} s"
+                    got = f"got {time_ns / 1e9:.6f} s after {latest_ns / 1e9:.6f} s"
+                    raise ValueError(f"{_where(file, path)}: {expected}, {got}: a clock was set, or logs put together")
+                latest_ns = max(latest_ns, time_ns)
+                found.append((time_ns, key, bytes(frame.data)))
             if len(found) > MAX_LOG_FRAMES:
                 raise ValueError(f"{path}: expected at most {MAX_LOG_FRAMES} frames of interest, got more")
     return found

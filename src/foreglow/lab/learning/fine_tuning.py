@@ -23,6 +23,7 @@ from scipy.special import expit
 from foreglow.config import PipelineConfig
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
+from foreglow.files import check_each_once
 from foreglow.lab.learning.annotation import IGNORED, POSITIVE
 from foreglow.lab.learning.old_samples import NUM_SAMPLES, HeldOut, chosen, read_old_samples
 from foreglow.lab.learning.recipes import RECIPES, Recipe, changed
@@ -181,9 +182,11 @@ def fine_tune(
     from foreglow.lab.learning.training import Teacher, score_samples, torch_device, train
 
     started = time.perf_counter()
+    roots = [path if is_split(path) else split_folder(path, "train") for path in data]
+    check_each_once(roots, "DATA")
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
-    learnt = [open_labelled(path if is_split(path) else split_folder(path, "train")) for path in data]
+    learnt = [open_labelled(root) for root in roots]
     held_out = [open_labelled(split_folder(path, "val")) for path in data if _has_val(path)]
     own = joined([labelled_samples(each, recipe, config, "train", cache, progress) for each in learnt])
     if not mix:

@@ -17,7 +17,7 @@ from scipy.special import expit
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
-from foreglow.files import write_json_results
+from foreglow.files import check_each_once, write_json_results
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
@@ -66,7 +66,7 @@ def train_model(
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If one is broken, or the folder holds another training.
+        ValueError: If one is broken or named twice, or the folder holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (fails early if it is missing)
@@ -79,8 +79,10 @@ def train_model(
     whole = [path for path in data if not is_split(path)]
     if not whole:
         raise ValueError(f"{data[0]}: expected at least one data set with a split val, got single splits alone")
+    learnt = [path if is_split(path) else split_folder(path, "train") for path in data]
+    check_each_once(learnt, "DATA")
     splits = {
-        "train": [open_labelled(path if is_split(path) else split_folder(path, "train")) for path in data],
+        "train": [open_labelled(path) for path in learnt],
         "val": [open_labelled(split_folder(path, "val")) for path in whole],
     }
     folder.mkdir(parents=True, exist_ok=True)

@@ -75,13 +75,14 @@ def _check_disjoint(splits: Sequence[SplitCard]) -> None:
 
 def _lines(data: Path, splits: Sequence[SplitCard]) -> list[str]:
     first = splits[0].info
+    drawn = "of scenes that were not drawn" if first.seed is None else f"seed {first.seed}"
     unlit = sum(_minutes(_unlit(split.scenes)) for split in splits) / sum(_minutes(split.scenes) for split in splits)
     return [
         "# Data card",
         "",
         f"Simulated night drives in PVDN's format: {sum(split.num_images for split in splits):,} images, "
         f"{unlit:.0%} of the minutes without any vehicle's light. No real image is in it, and no person.",
-        f"Made by {first.made_with['generator']}, seed {first.seed}; no two splits share a road.",
+        f"Made by {first.made_with['generator']}, {drawn}; no two splits share a road.",
         "",
         "| split | drives | images | minutes | without vehicles' light, minutes | images a second |",
         "|---|---|---|---|---|---|",

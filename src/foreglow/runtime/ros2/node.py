@@ -154,6 +154,9 @@ class FrameNode(ABC, Generic[Inputs]):
     def failed(self, header: Header, fault: str) -> None:
         """Called when a frame could not be worked on because of `fault`."""
 
+    def refused(self) -> None:
+        """Called when a message could not even be given to a frame, as its header cannot be read: `BAD_MESSAGE`."""
+
     def idle(self, now_ns: int) -> None:
         """Called after every wait for messages; `now_ns` is the steady clock's time."""
 
@@ -190,6 +193,7 @@ class FrameNode(ABC, Generic[Inputs]):
                 header = read_header(message.header, topic)
             except ValueError as error:
                 self._note(BAD_MESSAGE, error)
+                self.refused()
                 return
             self._join.put(topic, header, message, time.monotonic_ns())
 

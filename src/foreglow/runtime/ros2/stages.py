@@ -14,7 +14,7 @@ from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.input_messages import read_image
 from foreglow.runtime.ros2.join import Joined
-from foreglow.runtime.ros2.node import FrameNode, Inputs
+from foreglow.runtime.ros2.node import BAD_MESSAGE, FrameNode, Inputs
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import (
     detections_message,
@@ -204,7 +204,7 @@ BEAM_SAMPLED = (topics.TWIST, topics.ROAD, topics.DAMAGE, topics.REPORTED)
 
 
 class CommandingNode(FrameNode[Inputs]):
-    """A node that commands the beam: low beam where a frame failed, or input is overdue."""
+    """A node that commands the beam: low beam where a frame failed, a message has no frame, or input is overdue."""
 
     def __init__(self, name: str, setting: Setting, exact: Sequence[str], sampled: Sequence[str]) -> None:
         """Joins the network; subscribes to the camera's topics, too."""
@@ -219,6 +219,11 @@ class CommandingNode(FrameNode[Inputs]):
         self._sequence = None
         self._output.arrived()
         self._output.low(header, fault)
+
+    def refused(self) -> None:
+        """Commands low beam at once, and the next frame begins with a reset; the deadline runs on."""
+        self._sequence = None
+        self._output.low(Header(self.clock_ns()), BAD_MESSAGE)
 
     def idle(self, now_ns: int) -> None:
         """Commands low beam if input is overdue."""

@@ -54,6 +54,12 @@ def test_a_profile_of_the_scenes_own_sensor_scales_what_the_scene_draws() -> Non
         ("[view]\nwidth_px = 640", "width_px", "together with height_px"),
         ("[exposure]\nmin_gain = 9.0\nmax_gain = 3.0", "min_gain", "up to max_gain 3"),
         ("[lense]\ncore_px = 1.0", "lense", "unknown"),
+        ("[lens]\ncore_px = 10000", "lens.core_px", "less than or equal to 20"),  # 75 GB
+        ("[imager]\nbloom_px = 1e5", "imager.bloom_px", "less than or equal to 20"),
+        ("[tone]\nsharpen_px = 1e5", "tone.sharpen_px", "less than or equal to 20"),
+        ("[lens]\nghosts = [{ strength = 0.1, radius_deg = [1e9, 1.0] }]", "radius_deg", "less than or equal to 60"),
+        ("[lens]\nghosts = [{ strength = 0.1, shift_deg = [0.0, 1e300] }]", "shift_deg", "less than or equal to 360"),
+        ("[encoder]\nkbps = 0.001", "encoder.kbps", "greater than or equal to 1"),  # which no encoder takes
     ],
 )
 def test_a_bad_profile_is_one_line_with_file_field_and_expectation(

@@ -74,8 +74,11 @@ def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypat
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert calls[len(EXPERIMENTS) :] == ["tune"]
     (tmp_path / "out" / "glare" / "results.json").unlink()
+    (tmp_path / "out" / "detector" / "results.json").write_bytes(b"")
+    (tmp_path / "out" / "distance" / "results.json").write_text("[]")
+    calls.clear()
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
-    assert calls[-1] == "glare"
+    assert calls == ["detector", "distance", "glare"]
 
 
 def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,8 +103,46 @@ def test_an_experiment_that_the_data_do_not_allow(data: Path, tmp_path: Path, mo
     assert outcomes["drive"].reason.endswith("expected something else")
     assert outcomes["drive"].results is None
     assert all(outcome.results == {} for name, outcome in outcomes.items() if name != "drive")
+    assert [name for name, outcome in outcomes.items() if outcome.has_failed] == ["drive"]
     run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
     assert calls[len(EXPERIMENTS) :] == ["drive"]
+
+
+def test_results_stay_until_there_are_others(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of an experiment that fails with other options, or that was begun with other epochs."""
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs([]))
+    plan, out = ReproductionPlan(data, epochs=1), tmp_path / "out"
+    run_experiments(plan, out, progress=quiet)
+    kept = {path: path.read_bytes() for path in out.rglob("*.json")}
+    with pytest.raises(ValueError, match=r"out: --epochs: expected that of the networks trained here, 1, got 2; name"):
+        run_experiments(dataclasses.replace(plan, epochs=2), out, progress=quiet)
+    assert {path: path.read_bytes() for path in out.rglob("*.json")} == kept
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs([], broken="tune"))
+    outcomes = run_experiments(dataclasses.replace(plan, trials=7), out, progress=quiet)
+    assert outcomes["tune"].results is None
+    results = out / "tune" / EXPERIMENTS["tune"].results
+    assert results.read_bytes() == kept[results]
+
+
+def test_a_state_of_another_shape_is_said(data: Path, tmp_path: Path) -> None:
+    (tmp_path / run.STATE).write_text('{"distance": 3}')
+    with pytest.raises(ValueError, match=rf"{run.STATE}: distance: .*, got 3"):
+        run_experiments(ReproductionPlan(data), tmp_path, progress=quiet)
+
+
+def test_a_resumed_run_was_as_busy_as_its_rows(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run-times that an interrupted call measured on a busy machine are no better after an idle one has gone on."""
+    made = dict(stubs([]))
+
+    def resumed(_: ReproductionPlan, folder: Path, *__: object) -> None:
+        rows = [{"name": "paper", "load": 4.9}, {"name": "ours", "load": 0.2}]
+        write_json_results(folder / "results.json", {"rows": rows})
+
+    made["detector"] = dataclasses.replace(made["detector"], run=resumed)
+    monkeypatch.setattr(run, "EXPERIMENTS", made)
+    monkeypatch.setattr("os.getloadavg", lambda: (0.0, 0.0, 0.0))
+    outcomes = run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
+    assert (outcomes["detector"].load, outcomes["distance"].load) == (4.9, 0.0)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ from foreglow.lab.simulation.scenes.scene import SensorSpec
 from foreglow.lab.simulation.scenes.surroundings import NonNegative, Positive, Share, SpecModel
 
 Angle = Annotated[float, Field(gt=0, le=60)]
+Direction = Annotated[float, Field(ge=-360, le=360)]
+Blur = Annotated[float, Field(gt=0, le=20)]
+"""Standard deviation in pixels; the memory that blurring takes grows with it."""
 Listed = Field(max_length=20)
 MAX_SCATTERED = 0.9
 
@@ -35,7 +38,7 @@ class ViewSpec(SpecModel):
 
     width_px: Annotated[int, Field(ge=32, le=8192)] | None = None
     height_px: Annotated[int, Field(ge=24, le=8192)] | None = None
-    focal_px: Positive | None = None
+    focal_px: Annotated[float, Field(gt=0, le=100_000)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> ViewSpec:
@@ -74,8 +77,8 @@ class GhostSpec(SpecModel):
 
     strength: Annotated[float, Field(ge=0, le=0.2)]
     scale: Annotated[float, Field(ge=-4, le=4)] = 1.0
-    shift_deg: tuple[float, float] = (0.0, 0.0)
-    radius_deg: tuple[Positive, Positive] = (0.05, 0.05)
+    shift_deg: tuple[Direction, Direction] = (0.0, 0.0)
+    radius_deg: tuple[Angle, Angle] = (0.05, 0.05)
     softness: Share = 0.3
     roughness: Annotated[float, Field(ge=0, le=0.5)] = 0.0
 
@@ -93,7 +96,7 @@ class StreakSpec(SpecModel):
 
     share: Annotated[float, Field(ge=0, le=0.2)]
     num_arms: Annotated[int, Field(ge=1, le=36)] = 6
-    angle_deg: float = 0.0
+    angle_deg: Direction = 0.0
     length_deg: Angle = 0.6
     width_deg: Angle = 0.06
 
@@ -111,7 +114,7 @@ class LensSpec(SpecModel):
             two windscreens are equally dirty.
     """
 
-    core_px: Positive = 0.8
+    core_px: Blur = 0.8
     vignetting: NonNegative = 1.0
     veils: Annotated[tuple[VeilSpec, ...], Listed] = ()
     ghosts: Annotated[tuple[GhostSpec, ...], Listed] = ()
@@ -176,7 +179,7 @@ class ImagerSpec(SpecModel):
     column_pattern_e: NonNegative = 0.3
     bits: Annotated[int, Field(ge=6, le=24)] = 10
     bloom: Share = 0.0
-    bloom_px: Positive = 2.0
+    bloom_px: Blur = 2.0
 
 
 class ExposureSpec(SpecModel):
@@ -240,7 +243,7 @@ class ToneSpec(SpecModel):
     denoise: Annotated[float, Field(ge=0, lt=1)] = 0.0
     noise_level: Positive = 6.0
     sharpen: Annotated[float, Field(ge=0, le=5)] = 0.0
-    sharpen_px: Positive = 1.0
+    sharpen_px: Blur = 1.0
 
 
 def _available(codec: str) -> str:
@@ -266,7 +269,7 @@ class EncoderSpec(SpecModel):
     """
 
     codec: Annotated[Literal["h264", "h265"], AfterValidator(_available)] = "h264"
-    kbps: Annotated[float, Field(gt=0, le=200_000)] = 4000.0
+    kbps: Annotated[float, Field(ge=1, le=200_000)] = 4000.0
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 30.0
     key_every: Annotated[int, Field(ge=1, le=1000)] = 30
 

@@ -15,6 +15,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from foreglow.config import read_toml, validated
+from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, check_centre
 from foreglow.lab.simulation.scenes.surroundings import (
     Listed,
     NonNegative,
@@ -34,6 +35,7 @@ EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
 
 
 Shoulder: TypeAlias = Annotated[float, Field(ge=0, le=5)]
+_Term: TypeAlias = Annotated[float, Field(ge=-MAX_DISTORTION, le=MAX_DISTORTION)]
 LaneNumber: TypeAlias = Annotated[int, Field(ge=0)]
 
 MIN_MEDIAN_M = 1.0
@@ -239,13 +241,19 @@ class CameraSpec(SpecModel):
 
     width_px: Annotated[int, Field(ge=32, le=8192)] = 1280
     height_px: Annotated[int, Field(ge=24, le=8192)] = 960
-    focal_px: Positive = 1312.0
+    focal_px: Annotated[float, Field(gt=0, le=MAX_FOCAL_PX)] = 1312.0
     centre_px: tuple[float, float] | None = None
-    distortion: tuple[float, float, float, float, float] = (-0.05, 0.02, 0.0, 0.0, 0.0)
+    distortion: tuple[_Term, _Term, _Term, _Term, _Term] = (-0.05, 0.02, 0.0, 0.0, 0.0)
     mount_m: tuple[float, float, float] = (1.9, 0.0, 1.3)
     pitch_deg: Annotated[float, Field(ge=-30, le=30)] = -0.7
     yaw_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
     roll_deg: Annotated[float, Field(ge=-30, le=30)] = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> CameraSpec:
+        if self.centre_px is not None:
+            check_centre(self.centre_px, (self.width_px, self.height_px), "centre_px")
+        return self
 
 
 class SensorSpec(SpecModel):

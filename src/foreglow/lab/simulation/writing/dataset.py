@@ -69,7 +69,7 @@ class DatasetConfig(FrozenModel):
     Attributes:
         cycle: Exposure of every image; it becomes that of the scenes' sensors.
         split: Name of the split.
-        seed: The seed with which the scenes were drawn, for the record.
+        seed: The seed with which the scenes were drawn, for the record; None if they were not drawn.
         generator: Name and version of the simulator; part of it must change when the same scene gives other bytes.
         lidar: The scanner of the depth images.
         street: How wrong the street messages are.

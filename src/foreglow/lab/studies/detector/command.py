@@ -15,6 +15,7 @@ from foreglow.options import (
     file,
     flag,
     folder,
+    listed,
     option,
 )
 
@@ -75,7 +76,7 @@ def command(
     }
     epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
     plan = DetectorPlan(
-        rows=tuple(ROWS) if rows is None else tuple(rows.split(",")),
+        rows=tuple(ROWS) if rows is None else listed("--rows", rows),
         given={name: model_path(path) for name, path in given.items() if path is not None},
         split=cast("SplitName", split),
         may_train=not no_training,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,6 +71,7 @@ class RowResult(Record):
         num_multiply_adds: For one crop, or for one image of a YOLO.
         num_multiply_adds_frame: For one frame: a crop's times the mean number of proposals, or a YOLO's.
         run_time_ms: `mean`, `std`, `median` and `p99` of a frame, decoding excluded, one thread.
+        load: Programs that wanted a core when it was measured, over the cores.
         num_proposals: Mean boxes a frame, whatever their score.
         num_boxes: Mean boxes a frame with a score above the threshold.
         ceiling: The metrics of the labelled boxes themselves, a `BoxQuality` as `to_json` has it.
@@ -86,6 +88,7 @@ class RowResult(Record):
     num_multiply_adds: int = 0
     num_multiply_adds_frame: float = 0.0
     run_time_ms: dict[str, float] = Field(default_factory=dict)
+    load: float = 0.0
     num_proposals: float = 0.0
     num_boxes: float = 0.0
     ceiling: dict[str, Any] = Field(default_factory=dict)
@@ -229,6 +232,7 @@ def _measured(
         name=name,
         title=title,
         run_time_ms={key: round(value, 4) for key, value in times.items()},
+        load=round(os.getloadavg()[0] / (os.cpu_count() or 1), 4),
         num_proposals=len(scores) / num_images,
         num_boxes=int((scores > THRESHOLD).sum()) / num_images,
         examination=to_json(examine(labels, predictions, THRESHOLD, title)),

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from foreglow.options import ReportOption, SourceOptions, SplitOption, VehicleOptions, argument, file, flag, option
+from foreglow.options import (
+    ReportOption,
+    SourceOptions,
+    SplitOption,
+    VehicleOptions,
+    argument,
+    file,
+    flag,
+    listed,
+    option,
+)
 
 if TYPE_CHECKING:
     from foreglow.datasets import SplitName
@@ -42,7 +52,7 @@ def command(
         raise ValueError("--boxes: expected with a calibration or vehicle data; simulated drives bring their own")
     require_matplotlib()
     plan_config = preset("foreglow").changed("distance", all_pixels=all_pixels)
-    names = tuple(ESTIMATORS) if estimators is None else tuple(estimators.split(","))
+    names = tuple(ESTIMATORS) if estimators is None else listed("--estimators", estimators)
     plan = DistancePlan(split=cast("SplitName", split), estimators=names, seed=seed, config=plan_config)
     source = (
         data if boxes is None or depth is None else LidarLights(vehicle.equip(SourceOptions().open(data)), boxes, depth)

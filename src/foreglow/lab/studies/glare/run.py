@@ -11,7 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from pydantic import Field
+
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_config
+from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import read_plain_json, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
@@ -163,6 +166,14 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
     return named + empty
 
 
+class _Claimed(Record):
+    """What `plan.json` says: digests of the whole, of models and of scenes."""
+
+    digest: str = ""
+    models: dict[str, str] = Field(default_factory=dict)
+    scenes: dict[str, str] = Field(default_factory=dict)
+
+
 def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequence[NamedScene]) -> None:
     """Writes the plan to the folder, or checks that the plan that is there is the same, and so is what both drive."""
     about: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
@@ -171,11 +182,10 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
     file = folder / "plan.json"
     if file.exists():
-        known = read_plain_json(file)
-        if known.get("digest") != about["digest"]:
+        known = read_json(file, _Claimed)
+        if known.digest != about["digest"]:
             raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
-        for kind, digests in (("models", files), ("scenes", scenes)):
-            before = known.get(kind, {})
+        for kind, digests, before in (("models", files, known.models), ("scenes", scenes, known.scenes)):
             other = next((name for name in digests if before.get(name, digests[name]) != digests[name]), None)
             if other is not None:
                 raise ValueError(f"{file}: {kind}: expected {other} as it was here before; choose another folder")

@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import RootModel
+
 from foreglow.datasets import SPLIT_NAMES, split_in
+from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import read_plain_json, write_json_results
 from foreglow.lab.studies.detector.rows import check_given, file_digest, split_digest
 from foreglow.lab.studies.progress import Progress
@@ -37,14 +40,36 @@ WAVES = (
 which later ones use, and nothing disturbs the run-times."""
 
 
+class Known(Record):
+    """What `STATE` keeps of an experiment: what it was run with (`key`), and what came of it, as in `Outcome`.
+
+    Attributes:
+        epochs: What was asked for where networks are trained.
+        results: Digest of the file with its results.
+    """
+
+    key: str = ""
+    results: str = ""
+    seconds: float = 0.0
+    load: float = 0.0
+    reason: str = ""
+    has_failed: bool = False
+    epochs: int | None = None
+
+
+class State(RootModel[dict[str, Known]]):
+    """The file `STATE`, by experiment."""
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What came of an experiment.
 
     Attributes:
         seconds: How long it took.
-        load: Programs that wanted a core at its end, over the cores.
+        load: Programs that wanted a core at its end, over the cores; or when a part of it was measured, if more did.
         reason: Why there are no results; empty if there are.
+        has_failed: Whether it was begun, and ended with that reason.
         results: As its file has them.
     """
 
@@ -52,6 +77,7 @@ class Outcome:
     seconds: float
     load: float = 0.0
     reason: str = ""
+    has_failed: bool = False
     results: Mapping[str, Any] | None = None
 
 
@@ -64,27 +90,34 @@ def run_experiments(
 
     Raises:
         FileNotFoundError: If there is no split `test`, or a given model is missing.
-        ValueError: If a model or the configuration cannot be used.
+        ValueError: If a model or the configuration cannot be used, or networks were trained for other epochs in `out`.
         OSError: If something cannot be written.
     """
     plan.split("test")
     check_given(plan.models)
     Pipeline(plan.config.commanding())  # opens our model; an experiment that cannot would only have a reason
     out.mkdir(parents=True, exist_ok=True)
-    known = read_plain_json(out / STATE) if (out / STATE).exists() else {}
+    state = read_json(out / STATE, State).root if (out / STATE).exists() else {}
+    known: dict[str, dict[str, Any]] = {name: each.model_dump(exclude_unset=True) for name, each in state.items()}
+    begun = known.get("detector", {}).get("epochs", plan.epochs)
+    if begun != plan.epochs:
+        raise ValueError(
+            f"{out}: --epochs: expected that of the networks trained here, {begun or 'the default'}, got "
+            f"{plan.epochs or 'the default'}; name another folder"
+        )
     digest = _data_digest(plan)
     for wave in WAVES:
         outer, inner = (workers or Local(), Local()) if len(wave) > 1 else (Local(), workers or Local())
         todo: dict[str, str] = {}
         for name in wave:
             key = _key(name, plan, out, digest)
-            is_known = known.get(name, {}).get("key") == key and (out / name / EXPERIMENTS[name].results).is_file()
-            if not is_known:
+            before, found = known.get(name, {}), _results_digest(name, out)
+            if before.get("key") != key or not found or before.get("results", found) != found:
                 todo[name] = name
-                known[name] = {"key": key}
+                known[name] = {"key": key} | ({"epochs": plan.epochs} if name == "detector" else {})
         work = functools.partial(_run, plan, out, inner)
         for name, told in outer.each(work, todo, progress, paths=(out, plan.data)):
-            known[name] |= told | ({"key": ""} if told["reason"] else {})
+            known[name] |= told | {"results": _results_digest(name, out)} | ({"key": ""} if told["reason"] else {})
             write_json_results(out / STATE, known)
     return {name: _outcome(name, plan, out, known[name]) for name in EXPERIMENTS}
 
@@ -92,26 +125,34 @@ def run_experiments(
 def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent: Parent) -> dict[str, Any]:
     """What is kept of an outcome; a reason that the data give ends this experiment alone."""
     experiment, started_s = EXPERIMENTS[name], time.monotonic()
-    reason = experiment.reason(plan)
+    reason, has_failed = experiment.reason(plan), False
     if not reason:
 
         def progress(step: str, num_done: int, num_all: int) -> None:
             parent.report_progress(f"{name}: {step}", num_done, num_all)
 
         (out / name).mkdir(exist_ok=True)
-        (out / name / experiment.results).unlink(missing_ok=True)
         try:
             experiment.run(plan, out / name, workers, progress)
         except (FileNotFoundError, ImportError, ValueError) as error:
-            reason = str(error).partition("\n")[0]
+            reason, has_failed = str(error).partition("\n")[0], True
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
-    return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason}
+    return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason, "has_failed": has_failed}
 
 
 def _outcome(name: str, plan: ReproductionPlan, out: Path, known: Mapping[str, Any]) -> Outcome:
     file = out / name / EXPERIMENTS[name].results
     results = read_plain_json(file) if file.is_file() and not known["reason"] else None
-    return Outcome(_words(name, plan, out), known["seconds"], known["load"], known["reason"], results)
+    # Rows of the table of detectors that an interrupted call measured are not measured again.
+    load = max([known["load"], *(row.get("load", 0.0) for row in (results or {}).get("rows", []) if "name" in row)])
+    has_failed = known.get("has_failed", False)
+    return Outcome(_words(name, plan, out), known["seconds"], load, known["reason"], has_failed, results)
+
+
+def _results_digest(name: str, out: Path) -> str:
+    """Digest of an experiment's results; empty without any. Damaged or changed ones are made again."""
+    file = out / name / EXPERIMENTS[name].results
+    return file_digest(file) if file.is_file() else ""
 
 
 def _words(name: str, plan: ReproductionPlan, out: Path) -> str:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.files import check_each_once
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import percentiles, ratio
 from foreglow.lab.studies.progress import Progress
@@ -133,11 +134,12 @@ def run_experiment(
 
     Raises:
         FileNotFoundError: If there is no such split.
-        ValueError: If a kind is unknown, the configuration makes no tracks, or a file is broken.
+        ValueError: If a kind is unknown or named twice, the configuration makes no tracks, or a file is broken.
     """
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown:
         raise ValueError(f"--on: expected some of {', '.join(KINDS)}, got {unknown[0]!r}")
+    check_each_once(kinds, "--on")
     config = config.commanding()
     dataset = open_labelled(split)
     networks: list[NetworkTimes] = []

@@ -24,4 +24,4 @@ def command(
 
     results = examine(data, real_labels, real_image)
     report = write_report(results, out)
-    typer.echo("\n".join([*summary_lines(results), f"look in {report}"]))
+    typer.echo("\n".join([f"measured on {results.name}", *summary_lines(results), f"look in {report}"]))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled, read_image, to_grey
+from foreglow.datasets.pvdn.splits import found_name
 from foreglow.datasets.simulated import SequenceTruth, read_truth
 from foreglow.lab.evaluation.label_statistics import (
     Comparison,
@@ -43,6 +44,7 @@ class SimulatorResults:
     """Everything that the report shows.
 
     Attributes:
+        name: The split that was examined.
         label_rows: These statistics beside those of real labels; None without real labels.
         pixel_rows: These statistics beside those of a real image; None without a real image.
         effects: How first times move with the rule of what is perceivable.
@@ -90,7 +92,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
         reports_s = (frame.timestamp_ns / 1e9 for frame in drive.frames if frame.is_production_detected)
         delays.append(next(reports_s, np.inf) - time.indirect_s)
     return SimulatorResults(
-        name=str(split),
+        name=found_name(split),
         labels=own_labels,
         label_rows=label_rows,
         pixels=own_pixels,

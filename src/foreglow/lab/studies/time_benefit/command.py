@@ -7,7 +7,7 @@ from typing import Annotated, cast
 
 import typer
 
-from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, argument, option
+from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, argument, listed, option
 
 
 def command(
@@ -24,7 +24,9 @@ def command(
 ) -> None:
     """Measure how long before a production system and a human the first vehicle of each sequence is detected."""
     from foreglow.datasets import CategoryConfig, ImageCategory, SplitName, open_labelled, split_in
+    from foreglow.datasets.pvdn import is_split
     from foreglow.display.progress import StepProgress
+    from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.paper_chain import paper_chain
     from foreglow.lab.studies.reproduction.claims import beside_paper
@@ -33,7 +35,10 @@ def command(
 
     require_matplotlib()
     paper = None if paper_model is None else paper_chain(paper_model)
-    folders = dict.fromkeys(split_in(data, cast("SplitName", name.strip())) for name in split.split(","))
+    folders = [split_in(data, cast("SplitName", name)) for name in listed("--split", split)]
+    if is_split(data):  # whatever the names, it is one
+        folders = folders[:1]
+    check_each_once(folders, "--split")
     datasets = [open_labelled(folder) for folder in folders]
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
