@@ -155,7 +155,9 @@ def test_lamps_are_left_out_of_a_share_of_the_frames() -> None:
     np.testing.assert_array_equal(np.sort(np.concatenate(batches)), np.flatnonzero(np.arange(240) % 6)[5:])
     assert all(set(set_sizes(samples.sets[batch])) == {5} for batch in batches)
     half = changed(RECIPE, {"without_lamps": 0.5})
-    lit = [{int(i) // 6 for batch in set_batches(samples, half, epoch) for i in batch if i % 6 == 0} for epoch in (1, 2)]
+    lit = [
+        {int(i) // 6 for batch in set_batches(samples, half, epoch) for i in batch if i % 6 == 0} for epoch in (1, 2)
+    ]
     assert all(10 <= len(each) <= 30 for each in lit)
     assert lit[0] != lit[1]
     with pytest.raises(ValueError, match=r"without_lamps: expected 0 without inputs.together, got 0.5"):

@@ -185,7 +185,7 @@ _RELATED = {
     "inputs": dataclasses.replace(_FOREGLOW.inputs, num_features=len(FEATURES), together=True),
     "jitter": Jitter(),
     "epochs": 12,
-    "without_lamps": 0.5,
+    "without_lamps": 0.2,
     "max_negatives_per_positive": None,
     "augmentation": _FOREGLOW.augmentation.model_copy(update={"zoom": 0.5}),
 }
