@@ -64,6 +64,14 @@ def _images_of_the_shipped_drive_are_decoded_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _what_collection_loaded_stays_frozen() -> Iterator[None]:
+    """Every live loop thaws all at its end: the next one would search 800,000 objects for garbage, in half a second."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(gc, "unfreeze", lambda: None)
+        yield
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of a report's words and tables: its figures are made, but not drawn, which is what takes long."""
