@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,7 +86,7 @@ class Loaded:
         asked = {"arguments": [str(argument) for argument in arguments], "outputs": [str(path) for path in outputs]}
         return Forked(self.ask(asked), outputs, self)
 
-    def ask(self, line: dict[str, object]) -> int:
+    def ask(self, line: Mapping[str, object]) -> int:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         self.process.stdin.write(json.dumps(line) + "\n")
