@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import pytest
 
+from tests.cli.forked import Loaded, loaded
 from tests.stand_ins import REFERENCE, night_image
 
 
@@ -27,3 +29,10 @@ def folder(tmp_path: Path) -> Path:
     for k in range(3):
         cv2.imwrite(str(path / f"{k:06d}.png"), night_image(k))
     return path
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loaded]:
+    """A process that has loaded the program, and forks for each command."""
+    with loaded(tmp_path_factory.mktemp("forked")) as process:
+        yield process

@@ -42,10 +42,14 @@ def suggested(run: Path, out: Path) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("command", [evaluated, exported, suggested])
 def test_all_or_nothing(
-    command: Callable[[Path, Path], tuple[object, ...]], run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: Callable[[Path, Path], tuple[object, ...]],
+    run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
 ) -> None:
     if command is evaluated:
-        pytest.importorskip("matplotlib")
+        request.getfixturevalue("undrawn")
     whole, full = tmp_path / "whole", tmp_path / "full"
     for out in (whole, full):
         out.mkdir()

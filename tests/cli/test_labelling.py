@@ -179,6 +179,7 @@ def test_labels_have_the_frames_of_a_run_on_their_folder(tmp_path: Path, names: 
     assert (found["fn"], found["fp"], found["num_missing"]) == (0, 0, 0), "what was guessed is what was found"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_reader_of_an_interrupted_run_says_so(run: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut"
     shutil.copytree(run, cut, ignore=shutil.ignore_patterns("suggestions.csv"))
@@ -201,6 +202,7 @@ def test_every_reader_of_an_interrupted_run_says_so(run: Path, tmp_path: Path) -
     assert caught[0].filename == __file__
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut"
     shutil.copytree(run, cut)

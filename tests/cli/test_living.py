@@ -18,7 +18,7 @@ from foreglow.runs.summary_file import read_summary
 from foreglow.runtime.live import Paced
 from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
-from tests.cli.test_process import subprocess_command
+from tests.cli.forked import Loaded
 
 pytestmark = pytest.mark.slow
 
@@ -72,22 +72,17 @@ def test_results_are_those_of_beam(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted(tmp_path: Path, interrupt: signal.Signals) -> None:
+def test_interrupted(tmp_path: Path, program: Loaded, interrupt: signal.Signals) -> None:
     out = tmp_path / "out"
-    process = subprocess.Popen(
-        subprocess_command("live", shipped_drive(), "--speed", "0.2", "--out", out),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = program.start("live", shipped_drive(), "--speed", "0.2", "--out", out)
     partial = out / "frames.jsonl.partial"
     deadline_s = time.monotonic() + 60
     while not (partial.exists() and partial.stat().st_size):
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
     process.send_signal(interrupt)
-    stdout, stderr = process.communicate(timeout=60)
-    assert process.returncode == 130, stderr
+    code, stdout, stderr = process.ended()
+    assert code == 130, stderr
     assert "interrupted" in stdout
     assert "Traceback" not in stderr
     assert names(out) == RESULTS
@@ -126,16 +121,16 @@ def test_without_a_camera_it_says_why_and_gives_up(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["num_frames"] == 0
 
 
-def test_killed_process_leaves_no_half_written_result(tmp_path: Path) -> None:
+def test_killed_process_leaves_no_half_written_result(tmp_path: Path, program: Loaded) -> None:
     out = tmp_path / "out"
-    process = subprocess.Popen(subprocess_command("live", shipped_drive(), "--speed", "0.2", "--out", out))
+    process = program.start("live", shipped_drive(), "--speed", "0.2", "--out", out)
     partial = out / "frames.jsonl.partial"
     deadline_s = time.monotonic() + 60
     while not (partial.exists() and partial.stat().st_size):
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
-    process.kill()
-    process.wait()
+    process.send_signal(signal.SIGKILL)
+    assert process.ended()[0] == -signal.SIGKILL
     assert not RESULTS & names(out)
 
 
@@ -238,19 +233,17 @@ def test_recording_named_after_its_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_recording_of_a_process_that_is_ended(tmp_path: Path, how: signal.Signals) -> None:
+def test_recording_of_a_process_that_is_ended(tmp_path: Path, program: Loaded, how: signal.Signals) -> None:
     pytest.importorskip("foxglove")
     recording = tmp_path / "drive.mcap"
     partial = tmp_path / "drive.mcap.partial"
-    process = subprocess.Popen(
-        subprocess_command("live", shipped_drive(), "--speed", "0.3", "--record", recording), stderr=subprocess.PIPE
-    )
+    process = program.start("live", shipped_drive(), "--speed", "0.3", "--record", recording)
     deadline_s = time.monotonic() + 60
     while not (partial.exists() and partial.stat().st_size > 6_000_000):  # more than the first chunk, of 4 MB
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
     process.send_signal(how)
-    process.communicate(timeout=60)
+    assert process.ended()[0] == (130 if how == signal.SIGINT else -how)
     left = recording if how == signal.SIGINT else partial
     assert names(tmp_path) == {left.name}
     assert foreglow_command("live", left, "--speed", 0, "--out", tmp_path / "out").exit_code == 0

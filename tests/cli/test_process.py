@@ -14,9 +14,17 @@ import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import PNG, RESULTS, names, num_lines
+from tests.cli.forked import Loaded
 from tests.linux import needs_full_disk
 
 pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def config(config: Path) -> Path:
+    """Without ranges and tracks, whose libraries take a third of the time to load."""
+    config.write_text(config.read_text() + '[distance]\nestimator = "none"\n[tracker]\nmethod = "none"\n')
+    return config
 
 
 def subprocess_command(*arguments: object) -> list[str]:
@@ -134,20 +142,27 @@ def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path,
     assert names(tmp_path / "out") == RESULTS
 
 
-@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path, interrupt: signal.Signals) -> None:
-    images = tmp_path / "many"
-    images.mkdir()
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of images that take longer than we wait."""
+    images = tmp_path_factory.mktemp("many")
     for k in range(3000):
         (images / f"{k:06d}.png").write_bytes(PNG)
+    return images
+
+
+@pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupted_process_keeps_what_was_done(
+    tmp_path: Path, config: Path, many: Path, program: Loaded, interrupt: signal.Signals
+) -> None:
     out = tmp_path / "out"
-    process = subprocess.Popen(subprocess_command("run", images, "--out", out, "--config", config))
+    process = program.start("run", many, "--out", out, "--config", config)
     deadline = time.monotonic() + 20
     partial = out / "frames.jsonl.partial"
     while not (partial.exists() and partial.stat().st_size) and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(interrupt)
-    assert process.wait(20) == 130
+    assert process.ended()[0] == 130
     summary = json.loads((out / "summary.json").read_text())
     assert summary["is_complete"] is False
     assert 0 < summary["num_frames"] == num_lines(out) < 3000

@@ -70,6 +70,7 @@ def test_simulated_light_has_the_depth_of_the_scanner(simulated: DistanceResults
     assert simulated.example.depth_m is not None
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_picture_of_the_lidar_is_cut_around_the_boxes(simulated: DistanceResults) -> None:
     pytest.importorskip("matplotlib")
     files = {figure.file: figure.data for figure in distance_figures(simulated, find(simulated))}
@@ -118,6 +119,7 @@ def test_light_without_a_depth_is_left_out(split: Path, simulated: DistanceResul
     assert len(results.lights) == len(simulated.lights) - 2
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command(split: Path, simulated: DistanceResults, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     boxes, depth = told(simulated, tmp_path)

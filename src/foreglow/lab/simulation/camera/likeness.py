@@ -45,13 +45,25 @@ def look_of(image: Image) -> Look:
     """
     grey = image if image.dtype == np.uint8 else (image >> 8).astype(np.uint8)
     smooth = cv2.blur(grey, (3, 3)).astype(np.int16)
-    black, middle, bright = np.percentile(grey, (2, 50, 99))
+    black, middle, bright = _percentiles(grey, 2, 50, 99)
     noise = float((grey - smooth)[grey <= middle].std())
-    steps = np.abs(np.diff(grey.astype(np.int16), axis=1))
+    steps = np.abs(np.diff(grey.astype(np.int16), axis=1)).astype(np.uint8)
     clipped = float(np.mean(grey >= 250))
-    detail = float(np.percentile(steps, 99.5))
+    (detail,) = _percentiles(steps, 99.5)
     levels = np.log2([image.shape[1], black + 1, middle + 1, bright + 1, clipped + 1e-5, noise + 0.1, detail + 1])
     return np.asarray(levels, np.float64)
+
+
+def _percentiles(values: Image, *percents: float) -> NDArray[np.float64]:
+    """As `numpy.percentile`, but from counts of the 256 values, which takes a fifth of its time.
+
+    >>> _percentiles(np.array([[9, 1], [2, 4]], np.uint8), 0, 50, 75, 100)
+    array([1.  , 3.  , 5.25, 9.  ])
+    """
+    numbers = np.bincount(values.ravel(), minlength=256).cumsum()
+    places = np.array(percents) / 100 * (values.size - 1)
+    low, high = (np.searchsorted(numbers, rounded, side="right") for rounded in (np.floor(places), np.ceil(places)))
+    return low + (high - low) * (places % 1)
 
 
 @functools.cache
