@@ -67,7 +67,7 @@ def import_(
 
     dataset = exchange.LabelFile(source, images)
     exchange.write_split(dataset, out)
-    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.labels.lost)]
+    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
         lines.append(_empty_line(num_empty))
