@@ -31,10 +31,12 @@ class Guess:
     Attributes:
         timestamp_ns: The frame's time.
         marks: The points.
+        sequence: The frame's sequence.
     """
 
     timestamp_ns: int
     marks: tuple[Mark, ...]
+    sequence: str = ""
 
 
 def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) -> LabelSet:
