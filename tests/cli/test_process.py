@@ -134,6 +134,17 @@ def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path,
     assert names(tmp_path / "out") == RESULTS
 
 
+@pytest.mark.parametrize("arguments", [("--help",), ("run", "--help"), ("labels", "export", "-h"), ("--version",)])
+def test_reader_that_has_seen_enough_of_the_help(arguments: tuple[str, ...]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run(subprocess_command(*arguments), stdout=writing, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_process_keeps_what_was_done(tmp_path: Path, config: Path, interrupt: signal.Signals) -> None:
     images = tmp_path / "many"
