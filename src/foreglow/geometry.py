@@ -179,6 +179,10 @@ class Camera:
         if max(map(abs, self.distortion)) > MAX_DISTORTION:
             raise ValueError(f"Camera.distortion: expected at most {MAX_DISTORTION:g}, got {self.distortion}")
 
+    def has_shape_of(self, width_px: int, height_px: int) -> bool:
+        """Whether an image of this size has the aspect ratio of the camera's, to a pixel, so that it may be scaled."""
+        return abs(self.height_px * width_px / self.width_px - height_px) <= 1.0
+
     def scaled(self, width_px: int, height_px: int) -> Camera:
         """The same camera with an image of another size and the same field of view."""
         fx, fy = width_px / self.width_px, height_px / self.height_px

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -34,9 +35,28 @@ def test_convert_and_check(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "1.30 m above the road, points 1.00 degrees down" in result.stdout
     assert cv2.imread(str(picture)) is not None
-    cv2.imwrite(str(image), night_image(0, 480, 640))
+    cv2.imwrite(str(image), night_image(0, 400, 640))
     said = complaint("calibrate", "check", camera, image, "--out", picture)
-    assert "image.png: size: expected 1280x960 px as the calibration has it, got 640x480 px" in said
+    assert "image.png: size: expected 1280x960 px as the calibration has it, got 640x400 px" in said
+
+
+def test_a_calibration_is_scaled_to_the_image(tmp_path: Path) -> None:
+    """As `run` does with it: half as large, everything is at half the place, and in the same direction."""
+    (tmp_path / "front.yaml").write_text(ROS)
+    camera, image = converted(tmp_path, tmp_path / "front.yaml"), tmp_path / "image.png"
+    said = []
+    for height_px, width_px in ((960, 1280), (480, 640)):
+        cv2.imwrite(str(image), night_image(0, height_px, width_px))
+        result = foreglow_command("calibrate", "check", camera, image, "--out", tmp_path / "check.png")
+        assert result.exit_code == 0, result.output
+        said.append(dict(line.split(maxsplit=1) for line in result.stdout.splitlines()))
+    whole, half = said
+    assert half["scaled"] == "from 1280x960 px, as it is for frames of this size"
+    assert "scaled" not in whole
+    assert half["image"] == whole["image"].replace("1280x960", "640x480")
+    assert half["camera"] == whole["camera"]
+    places = [[float(text) for text in re.findall(r"[\d.]+", each["vanishing"])] for each in said]
+    assert places[1] == pytest.approx([value / 2 for value in places[0]], abs=0.1)
 
 
 def test_a_calibration_of_another_size_is_told(tmp_path: Path) -> None:

@@ -89,6 +89,15 @@ def test_bad_arguments_are_one_line(run: Path, tmp_path: Path) -> None:
     listed = tmp_path / "frames.csv"
     listed.write_text("frame\n99\n")
     assert "expected images of the data set, got 99" in complaint(*export, out, "--frames", listed)
+    listed.write_text("sequence,frame\nS00002,5\n")
+    assert "line 2: sequence: expected 'S00001' as of frame 5, got 'S00002'" in complaint(
+        *export, out, "--frames", listed
+    )
+    number = next(result.frame for results in read_run(run).sequences.values() for result in results)
+    listed.write_text(f"sequence,frame\nelsewhere,{number}\n")
+    own = ("labels", "export", shipped_drive(), "--run", run, "--out", out, "--frames", listed)
+    assert f"as of frame {number}, got 'elsewhere'" in complaint(*own)
+    listed.write_text("frame\n99\n")
     assert "cvat-video has every frame" in complaint(*export, out, "--frames", listed, "--format", "cvat-video")
     assert "was made from, " in complaint(*export, out, "--run", run)
     earlier = shutil.copytree(run, tmp_path / "earlier")

@@ -142,6 +142,17 @@ def test_reader_that_goes_away_is_no_error_of_ours(tmp_path: Path, folder: Path,
     assert names(tmp_path / "out") == RESULTS
 
 
+@pytest.mark.parametrize("arguments", [("--help",), ("run", "--help"), ("labels", "export", "-h"), ("--version",)])
+def test_reader_that_has_seen_enough_of_the_help(arguments: tuple[str, ...]) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        done = subprocess.run(subprocess_command(*arguments), stdout=writing, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.fixture(scope="module")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of images that take longer than we wait."""

@@ -40,9 +40,13 @@ def check(
     from foreglow.datasets import read_image
     from foreglow.display.calibration_check import check_lines, write_check
 
-    calibrated = read_calibration(camera)
-    write_check(out, calibrated, read_image(image), str(image))
-    typer.echo("\n".join([*check_lines(calibrated), f"picture        {out}"]))
+    calibrated, pixels, lines = read_calibration(camera), read_image(image), []
+    own_px, (height_px, width_px) = (calibrated.width_px, calibrated.height_px), pixels.shape
+    if own_px != (width_px, height_px) and calibrated.has_shape_of(width_px, height_px):
+        calibrated = calibrated.scaled(width_px, height_px)
+        lines.append(f"scaled         from {own_px[0]}x{own_px[1]} px, as it is for frames of this size")
+    write_check(out, calibrated, pixels, str(image))
+    typer.echo("\n".join([*check_lines(calibrated), *lines, f"picture        {out}"]))
 
 
 @calibrate.command()

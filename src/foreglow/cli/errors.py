@@ -76,6 +76,9 @@ NO_THREAD = "can't start new thread"
 OUTPUT_OPTIONS = ("--out", "--json", "--save", "--record", "--can")
 """What follows them on a command line is no input."""
 
+ONLY_SHOWN = frozenset({"-h", "--help", "--version"})
+"""Beside them nothing is done."""
+
 EMPTY_OPTION = re.compile(r"--[\w-]+=")
 
 MAX_LENGTH = 1000
@@ -89,7 +92,17 @@ class Commands(TyperGroup):
     """The commands, with their errors turned into one line on stderr."""
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Runs the command line; where stderr is no terminal, an error of usage is one line, too, and not a box."""
+        """Runs the command line; a reader that has seen enough of the help, such as `head`, is no failure of it."""
+        try:
+            return self._main(*args, **extra)
+        except SystemExit as ending:
+            is_shown = not ONLY_SHOWN.isdisjoint(extra.get("args") or sys.argv[1:])
+            if is_shown and isinstance(ending.__context__, BrokenPipeError):
+                sys.exit(0)
+            raise
+
+    def _main(self, *args: Any, **extra: Any) -> Any:
+        """As `main`; where stderr is no terminal, an error of usage is one line, too, and not a box."""
         if not extra.get("standalone_mode", True) or sys.stderr.isatty():
             return super().main(*args, **extra)
         try:

@@ -38,15 +38,21 @@ def export(
     exchange.check_target(out, name)
     if name == "cvat-video" and frames is not None:
         raise ValueError("labels export: expected --format cvat for --frames; cvat-video has every frame of a drive")
-    chosen = None if frames is None else read_suggestions(frames)
+    if frames is not None:
+        read_suggestions(frames)  # what is wrong in it by itself is said before a long run is read
     lines = []
     if run is None:
-        found = exchange.labels_of(open_labelled(source), chosen)
+        dataset = open_labelled(source)
+        sequences = {image_id: dataset.sequence(image_id).directory for image_id in dataset.frame_ids}
+        found = exchange.labels_of(dataset, None if frames is None else read_suggestions(frames, sequences))
     else:
         frames_of_run = open_source(source, on_error="mark")
         doubt = doubt_about_source(run, source)
         lines += [] if doubt is None else [doubt]
-        found = exchange.guesses_of(frames_of_run, read_guess(run), chosen)
+        guesses = read_guess(run)
+        sequences = {number: guess.sequence for number, guess in guesses.items()}
+        chosen = None if frames is None else read_suggestions(frames, sequences)
+        found = exchange.guesses_of(frames_of_run, guesses, chosen)
     lost = exchange.write_labels_file(out, found, name, is_guess=run is not None)
     if run is not None:
         say_lack(run)
@@ -67,7 +73,7 @@ def import_(
 
     dataset = exchange.LabelFile(source, images)
     exchange.write_split(dataset, out)
-    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.labels.lost)]
+    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
         lines.append(_empty_line(num_empty))

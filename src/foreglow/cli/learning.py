@@ -165,7 +165,13 @@ def train(
         list[Path] | None,
         file("With --from: drives to mix in instead of the samples that ship; repeatable.", "--mix", metavar="DATA"),
     ] = None,
-    recipe: Annotated[str, option("NAME", "How to train, and which network: paper, foreglow or related.")] = "foreglow",
+    recipe: Annotated[
+        str | None,
+        option(
+            "NAME",
+            "How to train, and which network: paper, foreglow or related (default: foreglow, or as with --from).",
+        ),
+    ] = None,
     recipe_file: Annotated[Path | None, file("TOML file whose fields override the recipe.")] = None,
     epochs: Annotated[int | None, option("N", "Train for at most N epochs.", min=1)] = None,
     patience: PatienceOption = None,
@@ -195,19 +201,22 @@ def train(
 
     if from_ is None and mix is not None:
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
-    if from_ is not None and recipe != "foreglow":
-        raise ValueError(f"train: expected the recipe foreglow with --from, got {recipe!r}")
+    base, start = recipes.recipe(recipe or "foreglow"), None
+    if from_ is not None:
+        from foreglow.lab.learning.fine_tuning import fine_tune, fine_tuning_recipe, fitting_recipe
+        from foreglow.lab.learning.model_import import read_model
+
+        start = read_model(from_)
+        if recipe not in (None, fitting_recipe(start)):
+            raise ValueError(
+                f"train: expected the recipe {fitting_recipe(start)} with --from, got {recipe!r}, which has another "
+                f"network than {from_}"
+            )
+        base = fine_tuning_recipe(start)
     chosen_preset = preset or next((name for name in (str(from_), recipe) if name in PRESETS), "foreglow")
     configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
     if from_ is not None and config is None:
         _check_boxes(from_, configuration)
-    base, start = recipes.recipe(recipe), None
-    if from_ is not None:
-        from foreglow.lab.learning.fine_tuning import fine_tune, fine_tuning_recipe
-        from foreglow.lab.learning.model_import import read_model
-
-        start = read_model(from_)
-        base = fine_tuning_recipe(start)
     chosen = base if recipe_file is None else recipes.read_recipe(recipe_file, base)
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
     given["max_negatives_per_positive"] = max_negatives

@@ -40,6 +40,11 @@ def earlier_name(name: str) -> str:
     return f"{PurePosixPath(name).stem}_earlier.png"
 
 
+def has_earlier(path: Path) -> bool:
+    """Whether an earlier image lies beside the image at `path`."""
+    return path.with_name(earlier_name(path.name)).is_file()
+
+
 def natural_key(name: str) -> list[tuple[int, int, str]]:
     """A sort key by which numbers inside names count as numbers.
 

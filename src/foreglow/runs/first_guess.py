@@ -25,7 +25,7 @@ def read_guess(folder: Path) -> Mapping[int, Guess]:
     """
     alone = count(-1, -1)
     guesses: dict[int, Guess] = {}
-    for results in read_run(folder).sequences.values():
+    for sequence, results in read_run(folder).sequences.items():
         for result in results:
             if result.detections is None:
                 raise ValueError(f"{folder / 'frames.jsonl'}: scores: expected those of a model, the run had none")
@@ -39,7 +39,7 @@ def read_guess(folder: Path) -> Mapping[int, Guess]:
                 number = tracks[index] if index in tracks else next(alone)
                 found.append(Mark(Kind.VEHICLE, middle_px, number, None, is_direct))
                 found.append(Mark(Kind.LIGHT, middle_px, number, number, is_direct, is_rear))
-            guesses[result.frame] = Guess(result.timestamp_ns, tuple(found))
+            guesses[result.frame] = Guess(result.timestamp_ns, tuple(found), sequence)
     return guesses
 
 

@@ -250,8 +250,12 @@ def test_earlier_images_are_no_frames(tmp_path: Path) -> None:
     write_split(LabelFile(tmp_path / "a.xml", clip), tmp_path / "own")
     folder = next((tmp_path / "own/images").iterdir())
     assert [path.name for path in folder.glob("*_earlier.png")] == ["000010_earlier.png"]
-    exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video")
-    write_split(LabelFile(tmp_path / "b.xml", folder), tmp_path / "back")
+    beside = "earlier image, without labels, beside a labelled one"
+    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1}
+    again = LabelFile(tmp_path / "b.xml", folder)
+    assert again.lost == labels_of(again).lost == labels_of(again, {2, 10}).lost == {beside: 1}
+    assert not labels_of(again, {2, 22}).lost
+    write_split(again, tmp_path / "back")
     own, back = PVDN(tmp_path / "own"), PVDN(tmp_path / "back")
     assert back.frame_ids == own.frame_ids == tuple(marks)
     for image_id in own.frame_ids:

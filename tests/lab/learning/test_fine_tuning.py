@@ -23,7 +23,7 @@ from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import fine_tuning
 from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedNetwork, read_model
-from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork
+from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork
 from foreglow.lab.learning.old_samples import (
     WIDEST,
     HeldOut,
@@ -330,6 +330,22 @@ def test_a_model_of_other_boxes(drives: Path, tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text(config_to_toml(preset("paper")))
     told = complaint("train", drives, "--out", tmp_path / "mine", "--from", tmp_path / "start.onnx")
     assert f"expected --config {tmp_path / 'config.toml'} with --from" in told
+
+
+def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
+    spec, out = RECIPES["related"].inputs, tmp_path / "mine"
+    torch.manual_seed(3)
+    write_model(RelatedNetwork(spec.num_channels, spec.num_features, 1).eval(), spec, tmp_path / "start.onnx", {})
+    command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", out, "--device", "cpu"]
+    more = make_drives(tmp_path / "more", num_images=2)  # those that ship have too few features for it
+    command += ["--config", drives.parent / "config.toml", "--mix", more]
+    for name in ("foreglow", "paper"):
+        message = f"expected the recipe related with --from, got {name!r}"
+        assert message in complaint(*command, "--recipe", name)
+    done = foreglow_command(*command, "--recipe", "related")
+    assert done.exit_code == 0, done.output
+    assert json.loads((out / "summary.json").read_text())["recipe"]["network"] == "related"
 
 
 @pytest.mark.parametrize(

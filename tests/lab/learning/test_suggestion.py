@@ -95,6 +95,22 @@ def test_strange_images_are_unlike(tmp_path: Path) -> None:
     assert drive[0].value > before[0].value
 
 
+def test_frames_of_another_sequence_are_others(tmp_path: Path) -> None:
+    path = tmp_path / "suggestions.csv"
+    path.write_text(suggestions_text(drive_of("a, b", [0.25, 0.5])))
+    assert read_suggestions(path, {0: "a, b", 1: "a, b", 2: "c"}) == {0, 1}
+    for sequences, said in (
+        ({0: "a, b", 1: "c"}, "expected 'c' as of frame 1"),
+        ({0: ""}, "expected none as of frame 0"),
+    ):
+        with pytest.raises(ValueError, match=rf"line {2 + max(sequences)}: sequence: {said}, got 'a, b'"):
+            read_suggestions(path, sequences)
+    path.write_text(suggestions_text(drive_of("", [0.25, 0.5])))
+    assert read_suggestions(path, {0: "S1", 1: "S1"}) == {0, 1}, "of a video whose frames are a set by now"
+    path.write_text("frame,sequence\n1\n")
+    assert read_suggestions(path, {1: "S1"}) == {1}, "as a person may write it"
+
+
 def test_the_file_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "suggestions.csv"
     write_suggestions({path: suggestions_text(drive_of("a, b", [0.25, 0.5]))})

@@ -23,6 +23,9 @@ MAX_COORDINATE_PX = 2**20
 MAX_NUMBER = 2**53
 """Numbers of vehicles and lights that every tool keeps exactly."""
 
+EARLIER_IMAGE = "earlier image, without labels, beside a labelled one"
+"""No tool's file says how much earlier it was."""
+
 MAX_KINDS_LOST = 20
 """Different things that a message names as lost; the rest are counted together."""
 

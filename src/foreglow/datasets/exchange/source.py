@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
-from foreglow.datasets.exchange.marks import ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
-from foreglow.datasets.image_folder import frame_numbers, number_in
+from foreglow.datasets.exchange.marks import EARLIER_IMAGE, ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
+from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in
 from foreglow.datasets.images import read_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
@@ -60,6 +61,7 @@ class LabelFile(LabelledSource):
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
         named = self._named()
         self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
+        self._labelled = frozenset(self._folder / image.name for image in named)
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
         self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
@@ -120,6 +122,19 @@ class LabelFile(LabelledSource):
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
         return self._checked(Frame(read_image(path), 0, path=str(path)), image_id)
+
+    def has_earlier(self, image_id: int) -> bool:
+        """Whether a file beside the image is its earlier one, whose age nobody knows, and that has no labels."""
+        if self._video is not None:
+            return False
+        path = self.image_path(image_id)
+        return has_earlier(path) and path.with_name(earlier_name(path.name)) not in self._labelled
+
+    @property
+    def lost(self) -> Counter[str]:
+        """By what it is, how much of the file and beside its images is not among the selected frames."""
+        num_earlier = sum(map(self.has_earlier, self.frame_ids))
+        return +Counter({**self.labels.lost, EARLIER_IMAGE: num_earlier})
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`."""

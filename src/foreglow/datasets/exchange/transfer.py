@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.datasets.exchange.files import LABEL_FORMATS
-from foreglow.datasets.exchange.marks import MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
+from foreglow.datasets.exchange.marks import EARLIER_IMAGE, MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
 from foreglow.datasets.exchange.source import LabelFile
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.labelled import LabelledSource
@@ -31,10 +31,12 @@ class Guess:
     Attributes:
         timestamp_ns: The frame's time.
         marks: The points.
+        sequence: The frame's sequence.
     """
 
     timestamp_ns: int
     marks: tuple[Mark, ...]
+    sequence: str = ""
 
 
 def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) -> LabelSet:
@@ -45,6 +47,8 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
         record, vehicles = dataset.image(image_id), dataset.annotations(image_id)
         doubtful = dataset.doubtful(image_id)
         lost["file of generated boxes"] += dataset.boxes(image_id) is not None
+        is_beside = isinstance(dataset, LabelFile) and dataset.has_earlier(image_id)
+        lost[EARLIER_IMAGE] += record.earlier is not None or is_beside
         for name in _unknown_fields(vehicles):
             lost[f"field {name}"] += 1
         categories = tuple(each for each in dataset.categories(image_id) if each != ImageCategory.NONE)
@@ -57,6 +61,8 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
     lost["sequence with attributes (weather, road, driver, times, ...)"] = sum(
         _attributes(sequence) != ordinary for sequence in dataset.sequences
     )
+    if isinstance(dataset, LabelFile):
+        lost.update(dataset.labels.lost)
     return LabelSet(tuple(images), +lost)
 
 

@@ -102,7 +102,7 @@ class VehicleFiles(VehicleData):
         camera = self._camera
         if camera is None or (camera.width_px, camera.height_px) == (width_px, height_px):
             return camera
-        if abs(camera.height_px * width_px / camera.width_px - height_px) > 1.0:
+        if not camera.has_shape_of(width_px, height_px):
             raise ValueError(
                 f"{self._names[0]}: image: expected the frames' size or its multiple, {width_px}x{height_px} px, "
                 f"got {camera.width_px}x{camera.height_px} px"

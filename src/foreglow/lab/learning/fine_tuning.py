@@ -139,9 +139,14 @@ def box_figures(
     )
 
 
+def fitting_recipe(start: StartingPoint) -> str:
+    """Name of the recipe that has the model's network."""
+    return "related" if start.inputs.together else "foreglow"
+
+
 def fine_tuning_recipe(start: StartingPoint) -> Recipe:
     """The recipe for going on from a model."""
-    base = RECIPES["related" if start.inputs.together else "foreglow"]
+    base = RECIPES[fitting_recipe(start)]
     inputs = dataclasses.asdict(start.inputs)
     return changed(base, FINE_TUNING | {"inputs": inputs, "kinds": start.has_kinds})
 

@@ -180,12 +180,18 @@ def write_suggestions(texts: Mapping[Path, str]) -> None:
             write_atomic(path, text.encode())
 
 
-def read_suggestions(path: Path) -> frozenset[int]:
+def read_suggestions(path: Path, sequences: Mapping[int, str] | None = None) -> frozenset[int]:
     """The numbers of the frames in the CSV at `path`, by its column `frame`.
+
+    Args:
+        path: The file.
+        sequences: By number, the sequence of each frame that there is: a file that names another one in its column
+            `sequence` is about other frames with the same numbers. None does not check it.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it has no such column, or a number is none; the message names the line.
+        ValueError: If it has no such column, a number is none, or a sequence is another one; the message names the
+            line.
     """
     try:
         rows = list(csv.reader(line.decode("utf-8-sig") for line in read_lines(path)))
@@ -193,11 +199,18 @@ def read_suggestions(path: Path) -> frozenset[int]:
         raise ValueError(f"{path}: expected a CSV file: {error}") from None
     if not rows or "frame" not in rows[0]:
         raise ValueError(f"{path}: line 1: expected a column called frame, got {shortened(rows[0] if rows else '')}")
-    column = rows[0].index("frame")
+    column, sequence_column = (rows[0].index(name) if name in rows[0] else -1 for name in ("frame", "sequence"))
     frames = set()
     for line, row in enumerate(rows[1:], start=2):
         text = row[column] if column < len(row) else ""
         if not (text.isascii() and text.isdigit() and len(text) < 17):
             raise ValueError(f"{path}: line {line}: frame: expected a number, got {shortened(text)}")
         frames.add(int(text))
+        named = row[sequence_column] if 0 <= sequence_column < len(row) else ""
+        known = (sequences or {}).get(int(text), named)
+        if named not in ("", known):
+            raise ValueError(
+                f"{path}: line {line}: sequence: expected {repr(known) if known else 'none'} as of frame {text}, got "
+                f"{shortened(named)}"
+            )
     return frozenset(frames)

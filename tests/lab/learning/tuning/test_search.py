@@ -250,6 +250,16 @@ def test_command_with_too_few_trials_for_importances(data: Path, tmp_path: Path)
     assert "Too few finished trials" in (tmp_path / "report.md").read_text()
 
 
+def test_command_says_what_was_done(data: Path, tmp_path: Path) -> None:
+    """The trials that are there, and the images: not what the options of the last call ask for."""
+    arguments = ("--images", 100_000, "--objective", "light", "--out", tmp_path)
+    foreglow_command("tune", data, "--trials", 2, *arguments)
+    done = foreglow_command("tune", data, "--trials", 1, *arguments)
+    assert "2 trials (0 ended early)" in done.stdout
+    assert f"the same, by Optuna; 2 trials on {NUM_ALL} images of train" in done.stdout
+    assert f"2 trials on {NUM_ALL} images of train" in (tmp_path / "report.md").read_text()
+
+
 def test_command_complains(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "expected the split train" in complaint("tune", data / "night" / "val", "--out", tmp_path)
     assert "space: expected one of paper, wide" in complaint("tune", data, "--space", "all", "--out", tmp_path)

@@ -4,6 +4,7 @@ import errno
 import functools
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -186,6 +187,30 @@ def test_summary_and_progress(tmp_path: Path) -> None:
     reported.clear()
     assert simulate_dataset(tmp_path, SCENES, drive, progress=lambda *call: reported.append(call)).num_kept == 2
     assert reported == [(1, 3, 3), (2, 2, 2)]
+
+
+def test_the_field_that_differs_is_named(tmp_path: Path) -> None:
+    """Also one that is written only where it is given, and lists that differ behind their beginning."""
+    simulate_dataset(tmp_path, SCENES, drive)
+    long = tuple(f"preset-{number:02d}" for number in range(20))
+    for presets, there, said in (
+        (("foreglow",), None, "made_with.presets: expected ['foreglow'] as in this run, found nothing"),
+        ((), ["foreglow"], "made_with.presets: expected nothing as in this run, found ['foreglow']"),
+        ((*long, "a"), [*long, "b"], "made_with.presets.20: expected 'a' as in this run, found 'b'"),
+    ):
+        path = tmp_path / "night/train/simulation/S00001/scene.json"
+        record = json.loads(path.read_text())
+        record["made_with"].pop("presets", None)
+        record["made_with"].update({} if there is None else {"presets": there})
+        path.write_text(json.dumps(record))
+        with pytest.raises(ValueError, match=re.escape(said)):
+            simulate_dataset(tmp_path, SCENES, drive, DatasetConfig(presets=presets))
+    record["made_with"] |= {"presets": (), "generator": f"{'a' * 70}, one thing"}
+    path.write_text(json.dumps(record))
+    with pytest.raises(
+        ValueError, match=r"made_with\.generator: expected .*a, another' as in this run, found .*a, one thing'; choose"
+    ):
+        simulate_dataset(tmp_path, SCENES, drive, DatasetConfig(generator=f"{'a' * 70}, another"))
 
 
 def test_more_scenes_join_and_fewer_do_not(whole: Path, tmp_path: Path) -> None:

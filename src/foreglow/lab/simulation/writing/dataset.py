@@ -15,6 +15,7 @@ becomes as many sequences, one after the other.
 from __future__ import annotations
 
 import functools
+import itertools
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -312,18 +313,43 @@ def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
     return frozenset(number for number in finished if (root / "images" / sequence_name(number)).is_dir())
 
 
+_NOTHING = object()
+"""In place of a field or an entry that one of two records lacks."""
+
+
 def _difference(wanted: Any, there: Any, field: str = "") -> str | None:
-    """The first field in which two JSON values differ, as `field: expected ..., found ...`."""
+    """The first field in which two JSON values differ, as `field: expected ..., found ...`.
+
+    >>> _difference({"a": {"b": [1, 2]}}, {"a": {"b": [1]}})
+    'a.b.1: expected 2 as in this run, found nothing'
+    """
     if wanted == there:
         return None
-    if isinstance(wanted, dict) and isinstance(there, dict) and wanted.keys() == there.keys():
-        deeper = (_difference(wanted[key], there[key], f"{field}.{key}".lstrip(".")) for key in wanted)
-        return next(found for found in deeper if found is not None)
-    return f"{field}: expected {_short(wanted)} as in this run, found {_short(there)}"
+    pairs: Iterable[tuple[Any, Any, Any]] = ()
+    if isinstance(wanted, dict) and isinstance(there, dict):
+        pairs = ((key, wanted.get(key, _NOTHING), there.get(key, _NOTHING)) for key in {**wanted, **there})
+    elif isinstance(wanted, list) and isinstance(there, list):
+        longest = itertools.zip_longest(wanted, there, fillvalue=_NOTHING)
+        pairs = ((index, *both) for index, both in enumerate(longest))
+    for key, one, other in pairs:
+        found = _difference(one, other, f"{field}.{key}".lstrip("."))
+        if found is not None:
+            return found
+    texts = ["nothing" if value is _NOTHING else repr(value) for value in (wanted, there)]
+    alike = itertools.takewhile(lambda both: both[0] == both[1], zip(*texts, strict=False))
+    num_alike = sum(1 for _ in alike)
+    expected, found = (_short(text, num_alike) for text in texts)
+    return f"{field}: expected {expected} as in this run, found {found}"
 
 
-def _short(value: Any) -> str:
-    text = repr(value)
+def _short(text: str, num_alike: int) -> str:
+    """At most 60 characters of a text, with those that follow the `num_alike` which another one begins with, too.
+
+    >>> _short("a" * 100 + "b", 100)[-8:]
+    'aaaaaaab'
+    """
+    begin = 0 if len(text) <= 60 else max(0, min(num_alike - 20, len(text) - 54))
+    text = text if begin == 0 else f"...{text[begin:]}"
     return text if len(text) <= 60 else text[:57] + "..."
 
 
