@@ -24,6 +24,7 @@ from foreglow.files import check_each_once
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import percentiles, ratio
 from foreglow.lab.studies.progress import Progress
+from foreglow.parallel import safe_path
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
 from foreglow.runtime.can_output import CanBus
@@ -252,7 +253,7 @@ def over_ros2(split: Path, config: PipelineConfig, num_frames: int, is_whole: bo
 
 def in_fresh_process(call: Callable[..., NetworkTimes], *arguments: Any) -> NetworkTimes:
     """The result of a call in a fresh process."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+    with safe_path(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(call, *arguments).result()
 
 
