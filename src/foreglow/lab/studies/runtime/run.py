@@ -26,6 +26,7 @@ from foreglow.lab.evaluation.ratios import percentiles, ratio
 from foreglow.lab.studies.progress import Progress
 from foreglow.parallel import safe_path
 from foreglow.pipeline import Pipeline
+from foreglow.plugins import words_of
 from foreglow.provenance import processor_name
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.health import Health
@@ -160,7 +161,7 @@ def run_experiment(
             try:
                 networks.append(in_fresh_process(over_ros2, split, config, num_paced, kind == "node"))
             except TimeoutError as error:
-                missing[KINDS[kind]] = str(error)
+                missing[KINDS[kind]] = words_of(error)
         progress(KINDS[kind], 1, 1)
     return RuntimeResults(
         dataset.name, 1.0 / (dataset.rate_hz or 18.0), config, processor_name(), tuple(networks), missing
