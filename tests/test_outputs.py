@@ -120,6 +120,14 @@ def test_a_split_of_an_input_is_no_folder_for_results(tmp_path: Path) -> None:
         check_outputs({"DATA": tmp_path / "data"}, {}, {"--out": split})
 
 
+def test_a_link_to_a_folder_that_is_gone(image: Path, tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to("gone")
+    for out in (link, link / "out"):
+        line = complaint("run", image, "--out", out)
+        assert line == f"foreglow: {link}: expected a folder, got a link to gone, which is not there\n"
+
+
 def test_a_file_of_an_input_folder(tmp_path: Path) -> None:
     labels = tmp_path / "data" / "labels" / "sequences.json"
     labels.parent.mkdir(parents=True)

@@ -121,8 +121,7 @@ class FolderLock:
             ValueError: If another run writes into it.
         """
         self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
+        check_folder(path)
         path.mkdir(parents=True, exist_ok=True)
         self._given, self._path, self._stat = path, path.resolve(), path.stat()
         self._is_of_command = is_of_command
@@ -165,6 +164,21 @@ class FolderLock:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
+
+
+def check_folder(path: Path) -> None:
+    """Checks that a folder can be made at `path`, or is there.
+
+    Raises:
+        NotADirectoryError: If there is something else, such as a link to what is not there.
+    """
+    if path.exists() and not path.is_dir():
+        raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
+    for there in (path, *path.parents):
+        if there.is_symlink() and not there.exists():
+            raise NotADirectoryError(
+                f"{there}: expected a folder, got a link to {there.readlink()}, which is not there"
+            )
 
 
 @contextlib.contextmanager
