@@ -13,6 +13,7 @@ from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from foreglow.whole_files import open_atomic
 from tests.cli.commands import complaint, foreglow_command, names
+from tests.datasets.tiny_pvdn import make_pvdn
 from tests.stand_ins import REFERENCE
 
 
@@ -118,6 +119,21 @@ def test_a_split_of_an_input_is_no_folder_for_results(tmp_path: Path) -> None:
         (split / name).touch()
     with pytest.raises(ValueError, match="expected a new folder for the results, not a part of DATA"):
         check_outputs({"DATA": tmp_path / "data"}, {}, {"--out": split})
+
+
+def test_the_images_of_a_split_are_no_place_for_results(tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path)
+    for source in (split, split.parents[1], split / "images/S00003"):
+        for part in ("images/S00003/out", "images/S00003/deeper/out"):
+            with pytest.raises(ValueError, match=r"--out .*expected a new folder for the results, not a part of"):
+                check_outputs({"SOURCE": source}, {}, {"--out": split / part})
+        with pytest.raises(ValueError, match=r"--out .*: expected a file that does not lie among the images of SOURCE"):
+            check_outputs({"SOURCE": source}, {"--out": split / "images/S00003/x.json"}, {})
+    for part in ("images/out", "labels/out", "simulation/out"):
+        with pytest.raises(ValueError, match=r"--out .*expected a new folder for the results, not a part of"):
+            check_outputs({"SOURCE": split}, {}, {"--out": split / part})
+    check_outputs({"SOURCE": split}, {"--json": split / "x.json"}, {"--out": split / "out"})
+    check_outputs({"SOURCE": split / "images/S00003"}, {}, {"the folder": split / "images/S00003_foreglow"})
 
 
 def test_a_link_to_a_folder_that_is_gone(image: Path, tmp_path: Path) -> None:

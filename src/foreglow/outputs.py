@@ -79,6 +79,9 @@ KINDS = {
 }
 """By mark; a record of which command wrote the folder goes before the marks."""
 
+PARTS_OF_SPLIT = ("images", "labels", "simulation")
+"""Folders of a split in PVDN's format."""
+
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
 
@@ -218,13 +221,15 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
             if path.is_file() and path.suffix != ".html" and _lies_in(path, read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
+            if path.suffix != ".html" and _lies_in(path, read) and _is_in_split(path, ("images",)):
+                raise ValueError(f"{name} {path}: expected a file that does not lie among the images of {other} {read}")
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
-            if _lies_in(path, read) and (_is_foreign(path) or _is_split(path)):
+            if _lies_in(path, read) and (_is_foreign(path) or _is_split(path) or _is_in_split(path, PARTS_OF_SPLIT)):
                 raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
@@ -352,6 +357,12 @@ def _is_split(folder: Path) -> bool:
     from foreglow.datasets.pvdn import is_split  # only here: the help comes without NumPy
 
     return is_split(folder)
+
+
+def _is_in_split(path: Path, parts: Sequence[str]) -> bool:
+    """Whether a file or folder lies below one of these parts of a split in PVDN's format."""
+    parents = path.resolve().parents
+    return any(folder.name in parts and _is_split(folder.parent) for folder in parents)
 
 
 def check_replaceable(path: Path) -> None:
