@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -81,6 +82,9 @@ KINDS = {
 
 PARTS_OF_SPLIT = ("images", "labels", "simulation")
 """Folders of a split in PVDN's format."""
+
+MAX_ADDITION = 32
+"""Characters by which a file's name is longer until it is whole, as `whole_files` has it."""
 
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
@@ -203,7 +207,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
     Nor may a folder hold the results of another command than the running one. What is to be overwritten must be a
-    regular file. Only reports (`.html`) may lie beside what they are about, and be written again.
+    regular file. Only reports (`.html`) may lie beside what they are about, and be written again. That a file can be
+    written is found out here, too, not after hours of work.
 
     Args:
         inputs: By option or argument, files and folders that are read, as far as they exist.
@@ -211,7 +216,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         folders: By option, folders to write into.
 
     Raises:
-        ValueError: If an output would destroy an input or another output; the message names both.
+        ValueError: If an output would destroy an input or another output; the message names both. Or if a file cannot
+            be written: for its name, or the folder that it lies in.
     """
     for name, path in files.items():
         if path.is_dir():
@@ -249,6 +255,26 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, second in written[:index]:
             if _is_same(path, second):
                 raise ValueError(f"{name} {path}: expected another file than that of {other}")
+    for name, path in files.items():
+        if not any(_is_same(path.parent, folder) or _lies_below(path, folder) for folder in folders.values()):
+            _check_place(name, path)
+
+
+def _check_place(name: str, path: Path) -> None:
+    """ValueError if no file can be written at `path`; a report makes its folder."""
+    folder = path.parent
+    if folder.is_dir():
+        try:
+            path.with_name(f".{path.name}{'x' * MAX_ADDITION}").lstat()
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                raise ValueError(f"{name} {path}: expected a shorter name: File name too long") from None
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise ValueError(f"{name} {path}: Permission denied: expected a folder that one may write into")
+    elif folder.exists():
+        raise ValueError(f"{name} {path}: expected a file in a folder, {folder} is none")
+    elif path.suffix != ".html":
+        raise ValueError(f"{name} {path}: No such file or directory: expected a folder {folder} that is there")
 
 
 def check_kinds(files: Mapping[str, Path], suffixes: Mapping[str, Sequence[str]]) -> None:
@@ -308,6 +334,14 @@ def _lies_in(path: Path, folder: Path) -> bool:
     """Whether a file lies below a folder, whatever the names of both."""
     try:
         return folder.is_dir() and folder.resolve() in path.resolve().parents
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
+def _lies_below(path: Path, folder: Path) -> bool:
+    """As `_lies_in`, for a folder that may not be there yet."""
+    try:
+        return folder.resolve() in path.resolve().parents
     except (OSError, RuntimeError, ValueError):
         return False
 
