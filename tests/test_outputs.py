@@ -13,6 +13,7 @@ from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from foreglow.whole_files import open_atomic
 from tests.cli.commands import complaint, foreglow_command, names
+from tests.datasets.tiny_pvdn import make_pvdn
 from tests.stand_ins import REFERENCE
 
 
@@ -118,6 +119,57 @@ def test_a_split_of_an_input_is_no_folder_for_results(tmp_path: Path) -> None:
         (split / name).touch()
     with pytest.raises(ValueError, match="expected a new folder for the results, not a part of DATA"):
         check_outputs({"DATA": tmp_path / "data"}, {}, {"--out": split})
+
+
+def test_the_images_of_a_split_are_no_place_for_results(tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path)
+    for source in (split, split.parents[1], split / "images/S00003"):
+        for part in ("images/S00003/out", "images/S00003/deeper/out"):
+            with pytest.raises(ValueError, match=r"--out .*expected a new folder for the results, not a part of"):
+                check_outputs({"SOURCE": source}, {}, {"--out": split / part})
+        with pytest.raises(ValueError, match=r"--out .*: expected a file that does not lie among the images of SOURCE"):
+            check_outputs({"SOURCE": source}, {"--out": split / "images/S00003/x.json"}, {})
+    for part in ("images/out", "labels/out", "simulation/out"):
+        with pytest.raises(ValueError, match=r"--out .*expected a new folder for the results, not a part of"):
+            check_outputs({"SOURCE": split}, {}, {"--out": split / part})
+    check_outputs({"SOURCE": split}, {"--json": split / "x.json"}, {"--out": split / "out"})
+    check_outputs({"SOURCE": split / "images/S00003"}, {}, {"the folder": split / "images/S00003_foreglow"})
+
+
+def test_files_that_cannot_be_written_are_told_at_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for length in (230, 250, 300):
+        with pytest.raises((ValueError, OSError), match="File name too long"):
+            check_outputs({}, {"--json": tmp_path / f"{'x' * length}.json"}, {})
+    check_outputs({}, {"--json": tmp_path / f"{'x' * 200}.json"}, {})
+    path = tmp_path / "nodir" / "ca.toml"
+    with pytest.raises(ValueError, match=f"^--out {path}: No such file or directory: expected a folder {path.parent} "):
+        check_outputs({}, {"--out": path}, {})
+    for parent in (path.parent, tmp_path):  # which are made for the command
+        check_outputs({}, {"--json": path}, {"--out": parent})
+    check_outputs({}, {"--out": path.with_name("report.html")}, {})
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match=r"--out .*: expected a file in a folder, .*file is none"):
+        check_outputs({}, {"--out": tmp_path / "file" / "ca.toml"}, {})
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(ValueError, match=r"--out .*: Permission denied: expected a folder that one may write into"):
+        check_outputs({}, {"--out": tmp_path / "ca.toml"}, {})
+
+
+def test_a_file_that_cannot_be_written_costs_no_work(image: Path, tmp_path: Path) -> None:
+    path = tmp_path / "nodir" / "ca.toml"
+    line = complaint("calibrate", "auto", image.parent, "--fov", 50, "--out", path)
+    assert line == f"foreglow: --out {path}: No such file or directory: expected a folder {path.parent} that is there\n"
+    long = tmp_path / f"{'x' * 240}.json"
+    line = complaint("evaluate", tmp_path, "--json", long)
+    assert line.startswith(f"foreglow: --json {long}: expected a shorter name")
+
+
+def test_a_link_to_a_folder_that_is_gone(image: Path, tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to("gone")
+    for out in (link, link / "out"):
+        line = complaint("run", image, "--out", out)
+        assert line == f"foreglow: {link}: expected a folder, got a link to gone, which is not there\n"
 
 
 def test_a_file_of_an_input_folder(tmp_path: Path) -> None:

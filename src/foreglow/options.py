@@ -305,13 +305,13 @@ class VehicleOptions:
     """Camera, vehicle data and map."""
 
     calibration: CalibrationOption = None
-    can_log: Annotated[Path | None, file("CAN log of the drive, with the motion of the car and street messages.")] = (
+    can_log: Annotated[Path | None, file("CAN log of one drive, with the motion of the car and street messages.")] = (
         None
     )
     dbc: Annotated[Path | None, file("DBC that describes the frames of the log (default: Foreglow's own).")] = None
     mapping: Annotated[Path | None, file("TOML that says what the signals of the DBC mean.")] = None
     road_map: Annotated[Path | None, file("GeoJSON, OpenDRIVE or Lanelet2 map; needs --poses.", "--map")] = None
-    poses: Annotated[Path | None, file("Poses of the car on the map over time: CSV or TUM.")] = None
+    poses: Annotated[Path | None, file("Poses of the car on the map over one drive: CSV or TUM.")] = None
     time_offset: Annotated[
         float,
         option("S", "Added to the times of log and poses, to get the times of the frames.", min=-1e10, max=1e10),
@@ -346,14 +346,16 @@ class VehicleOptions:
 
         return open_vehicle_data(*files, time_offset_s=self.time_offset, pose_error_m=self.pose_error)
 
-    def equip(self, frames: FrameSource) -> FrameSource:
-        """`frames` with what the files say about each of them."""
+    def equip(self, frames: FrameSource, limit: int | None = None) -> FrameSource:
+        """`frames`, of which the first `limit` will be read, with what the files say about each of them."""
         data = self.read()
         if data is None:
             return frames
         from foreglow.datasets import Equipped
 
-        return Equipped(frames, data)
+        equipped = Equipped(frames, data)
+        equipped.check(limit)
+        return equipped
 
 
 @dataclass(frozen=True, slots=True)

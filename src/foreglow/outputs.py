@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -79,6 +80,12 @@ KINDS = {
 }
 """By mark; a record of which command wrote the folder goes before the marks."""
 
+PARTS_OF_SPLIT = ("images", "labels", "simulation")
+"""Folders of a split in PVDN's format."""
+
+MAX_ADDITION = 32
+"""Characters by which a file's name is longer until it is whole, as `whole_files` has it."""
+
 DEVICES = Path("/dev")
 """Nothing is written there: a file is put in place of what it overwrites, and root would lose the device."""
 
@@ -121,8 +128,7 @@ class FolderLock:
             ValueError: If another run writes into it.
         """
         self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
+        check_folder(path)
         path.mkdir(parents=True, exist_ok=True)
         self._given, self._path, self._stat = path, path.resolve(), path.stat()
         self._is_of_command = is_of_command
@@ -167,6 +173,21 @@ class FolderLock:
         self.release()
 
 
+def check_folder(path: Path) -> None:
+    """Checks that a folder can be made at `path`, or is there.
+
+    Raises:
+        NotADirectoryError: If there is something else, such as a link to what is not there.
+    """
+    if path.exists() and not path.is_dir():
+        raise NotADirectoryError(f"{path}: expected a folder to write into, got a file")
+    for there in (path, *path.parents):
+        if there.is_symlink() and not there.exists():
+            raise NotADirectoryError(
+                f"{there}: expected a folder, got a link to {there.readlink()}, which is not there"
+            )
+
+
 @contextlib.contextmanager
 def running(command: str, inputs: Mapping[str, Path] | None = None) -> Iterator[None]:
     """While the block lasts, this process runs `command`, such as `experiment glare`, which reads `inputs`."""
@@ -186,7 +207,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
     Nor may a folder hold the results of another command than the running one. What is to be overwritten must be a
-    regular file. Only reports (`.html`) may lie beside what they are about, and be written again.
+    regular file. Only reports (`.html`) may lie beside what they are about, and be written again. That a file can be
+    written is found out here, too, not after hours of work.
 
     Args:
         inputs: By option or argument, files and folders that are read, as far as they exist.
@@ -194,7 +216,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         folders: By option, folders to write into.
 
     Raises:
-        ValueError: If an output would destroy an input or another output; the message names both.
+        ValueError: If an output would destroy an input or another output; the message names both. Or if a file cannot
+            be written: for its name, or the folder that it lies in.
     """
     for name, path in files.items():
         if path.is_dir():
@@ -204,13 +227,15 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
             if path.is_file() and path.suffix != ".html" and _lies_in(path, read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
+            if path.suffix != ".html" and _lies_in(path, read) and _is_in_split(path, ("images",)):
+                raise ValueError(f"{name} {path}: expected a file that does not lie among the images of {other} {read}")
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
-            if _lies_in(path, read) and (_is_foreign(path) or _is_split(path)):
+            if _lies_in(path, read) and (_is_foreign(path) or _is_split(path) or _is_in_split(path, PARTS_OF_SPLIT)):
                 raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
@@ -230,6 +255,26 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, second in written[:index]:
             if _is_same(path, second):
                 raise ValueError(f"{name} {path}: expected another file than that of {other}")
+    for name, path in files.items():
+        if not any(_is_same(path.parent, folder) or _lies_below(path, folder) for folder in folders.values()):
+            _check_place(name, path)
+
+
+def _check_place(name: str, path: Path) -> None:
+    """ValueError if no file can be written at `path`; a report makes its folder."""
+    folder = path.parent
+    if folder.is_dir():
+        try:
+            path.with_name(f".{path.name}{'x' * MAX_ADDITION}").lstat()
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                raise ValueError(f"{name} {path}: expected a shorter name: File name too long") from None
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise ValueError(f"{name} {path}: Permission denied: expected a folder that one may write into")
+    elif folder.exists():
+        raise ValueError(f"{name} {path}: expected a file in a folder, {folder} is none")
+    elif path.suffix != ".html":
+        raise ValueError(f"{name} {path}: No such file or directory: expected a folder {folder} that is there")
 
 
 def check_kinds(files: Mapping[str, Path], suffixes: Mapping[str, Sequence[str]]) -> None:
@@ -293,6 +338,14 @@ def _lies_in(path: Path, folder: Path) -> bool:
         return False
 
 
+def _lies_below(path: Path, folder: Path) -> bool:
+    """As `_lies_in`, for a folder that may not be there yet."""
+    try:
+        return folder.resolve() in path.resolve().parents
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
 def _check_writer(name: str, folder: Path) -> None:
     """ValueError if another command than the running one wrote what is in the folder."""
     command = running_command()
@@ -338,6 +391,12 @@ def _is_split(folder: Path) -> bool:
     from foreglow.datasets.pvdn import is_split  # only here: the help comes without NumPy
 
     return is_split(folder)
+
+
+def _is_in_split(path: Path, parts: Sequence[str]) -> bool:
+    """Whether a file or folder lies below one of these parts of a split in PVDN's format."""
+    parents = path.resolve().parents
+    return any(folder.name in parts and _is_split(folder.parent) for folder in parents)
 
 
 def check_replaceable(path: Path) -> None:

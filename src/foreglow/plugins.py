@@ -188,11 +188,24 @@ def checked(field: str, result: object, expected: type[Entry]) -> Entry:
 
 
 def words_of(error: BaseException) -> str:
-    """What an error says, cut if it is long; it may be of somebody else's class, which fails even at that.
+    r"""What an error says on one line, cut if it is long; it may be of somebody else's class, which fails even at that.
 
-    >>> words_of(ValueError("expected a number")), words_of(ValueError())
+    >>> words_of(ValueError("expected\n  a number")), words_of(ValueError())
     ('expected a number', '')
     """
+    return " ".join(_text_of(error).split())
+
+
+def first_line_of(error: BaseException) -> str:
+    r"""The first line of what an error says, if it says something: libraries go on with advice for their developers.
+
+    >>> first_line_of(ValueError("\nno model\nsee the log"))
+    'no model'
+    """
+    return next((line.strip() for line in _text_of(error).splitlines() if line.strip()), "")
+
+
+def _text_of(error: BaseException) -> str:
     try:
         text = str(error)
     except (Exception, SystemExit):

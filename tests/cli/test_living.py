@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import json
 import signal
 import subprocess
@@ -248,3 +249,30 @@ def test_recording_of_a_process_that_is_ended(tmp_path: Path, program: Loaded, h
     assert names(tmp_path) == {left.name}
     assert foreglow_command("live", left, "--speed", 0, "--out", tmp_path / "out").exit_code == 0
     assert num_lines(tmp_path / "out") >= 2
+
+
+RAISING = """
+class Raising:
+    def __init__(self, config):
+        pass
+
+    def update(self, *_):
+        raise ValueError("first line\\n  second line")
+
+    def reset(self):
+        pass
+"""
+
+
+def test_what_a_plug_in_raises_is_told_on_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    importlib.invalidate_caches()
+    Path("talkative_tracker.py").write_text(RAISING)
+    Path("own.toml").write_text('[tracker]\nmethod = "talkative_tracker:Raising"\n')
+    result = foreglow_command(
+        "live", shipped_drive(), "--speed", 0, "--limit", 2, "--config", "own.toml", "--out", "out"
+    )
+    assert result.exit_code == 0, result.output
+    assert "ValueError: first line second line" in result.stdout
+    assert "ValueError: first line second line" in result.stderr
+    assert all("second line" not in line or "first line" in line for line in result.output.splitlines())

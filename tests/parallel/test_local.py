@@ -141,6 +141,38 @@ def test_a_parent_that_is_gone_takes_its_processes_with_it(tmp_path: Path, numbe
     wait_until_gone(*pids)
 
 
+SQUARES = """
+import os
+import sys
+
+sys.path.append(sys.argv[1])
+from foreglow.parallel import Local
+from tests.parallel import tasks
+
+print(sorted(dict(Local(2).each(tasks.square, {"a": 2, "b": 3}, lambda *_: None)).items()))
+assert "PYTHONSAFEPATH" not in os.environ
+"""
+
+
+@needs_processes
+@pytest.mark.parametrize("name", ["argparse", "inspect", "threading"])
+def test_a_file_named_as_a_standard_module_in_the_working_folder_is_not_imported(tmp_path: Path, name: str) -> None:
+    (tmp_path / "scripts").mkdir()
+    script = tmp_path / "scripts" / "squares.py"
+    script.write_text(SQUARES)
+    (tmp_path / f"{name}.py").write_text("class Plugin: pass\n")
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONSAFEPATH")}
+    done = subprocess.run(
+        [sys.executable, script, Path(__file__).parents[2]],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "[('a', 4), ('b', 9)]\n", "")
+
+
 def test_workers_by_the_options() -> None:
     assert workers_at(3, None) == Local(3)
     assert workers_at(1, "tcp://127.0.0.1:8786") == Cluster("tcp://127.0.0.1:8786")

@@ -26,7 +26,7 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
-from foreglow.plugins import raising, words_of
+from foreglow.plugins import first_line_of, raising, words_of
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -206,7 +206,7 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     broken = _broken_package(error)
     if broken is not None:
-        words = (words_of(error).splitlines() or [""])[0]  # ROS 2 goes on with advice for its developers
+        words = first_line_of(error)  # ROS 2 goes on with advice for its developers
         hint = "; source the setup file of ROS 2 first" if EXTRAS.get(broken) == "ros2" else ""
         return f"{broken} is installed, but cannot be loaded: {shortened(words, 400)}{hint}", 2
     if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:

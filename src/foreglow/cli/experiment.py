@@ -20,6 +20,7 @@ from foreglow.options import (
     option,
     with_options,
 )
+from foreglow.outputs import check_folder
 
 experiment = typer.Typer(no_args_is_help=True, help="Run an experiment: figures, tables and a report in a folder.")
 app.add_typer(experiment, name="experiment")
@@ -66,12 +67,15 @@ def reproduce(
     from foreglow.display.progress import StepProgress
     from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
+    from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
     from foreglow.lab.studies.reproduction.page import answers, summary_lines, write_page
     from foreglow.lab.studies.reproduction.plan import MODELS, ReproductionPlan
     from foreglow.lab.studies.reproduction.run import run_experiments
 
     require_matplotlib()
     check_each_once(straight or (), "--straight")
+    for name in EXPERIMENTS:
+        check_folder(out / name)
     given = (baseline_small_model, baseline_model, paper_model, published, yolo_small, yolo_large)
     words = {"--preset": pipeline.preset, "--model": pipeline.model, "--config": pipeline.config}
     plan = ReproductionPlan(

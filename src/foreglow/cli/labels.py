@@ -10,6 +10,7 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import say_lack
 from foreglow.options import argument, file, folder, option, output_file, with_options
+from foreglow.plugins import words_of
 
 if TYPE_CHECKING:
     from foreglow.datasets.exchange import LabelSet
@@ -123,7 +124,7 @@ def suggest(
         try:
             unlike = suggestion.unlikeness(run)
         except FileNotFoundError as error:
-            typer.echo(f"how the images look does not count: {error}")
+            typer.echo(f"how the images look does not count: {words_of(error)}")
             unlike = None
         rated = suggestion.rated(run, unlike)
         drives += rated

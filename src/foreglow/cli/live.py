@@ -113,7 +113,7 @@ def live(
             seed=seed,
             quality=quality,
         )
-        opened = open_live(source, options, speed=speed or float("inf"), topic=topic)
+        opened = open_live(source, options, speed=speed or float("inf"), topic=topic, limit=limit)
         outputs: list[BeamOutput] = [opened] if isinstance(opened, ClosedLoop) else []
         if can is not None:
             outputs.append(lamp_bus(can, configuration))

@@ -98,7 +98,7 @@ def source(
     data = None if vehicle.calibration is None else open_vehicle_data(vehicle.calibration)
     camera = open_camera(frames, CameraOptions(size_px=capture.size_px, rate_hz=capture.rate, data=data))
     if camera is None:
-        played = vehicle.equip(reading.open(frames))
+        played = vehicle.equip(reading.open(frames), reading.limit)
     ros_arguments = _prepare(context, is_networked)
     from foreglow.runtime.ros2.source import Player, repeated
 

@@ -116,7 +116,7 @@ def record(
     from foreglow.pipeline import Pipeline
 
     stepper = Pipeline(pipeline.configuration())
-    frames = vehicle.equip(reading.open(source))
+    frames = vehicle.equip(reading.open(source), reading.limit)
     sinks = [progress_sink(frames, reading.limit)]
     if ros2:
         from foreglow.runtime.ros2.bag import BagRecorder

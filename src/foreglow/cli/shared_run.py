@@ -27,7 +27,7 @@ WINDOW_S = 20.0
 
 def open_frames(source: Path, reading: SourceOptions, vehicle: VehicleOptions) -> FrameSource:
     """The frames of `source`; workers call it, too."""
-    return vehicle.equip(reading.open(source))
+    return vehicle.equip(reading.open(source), reading.limit)
 
 
 def run_frames(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from pathlib import Path
 from typing import Annotated
@@ -42,7 +43,8 @@ def stages(
         raise ValueError(f"{out}: expected a picture that ends in .png, got {out.suffix!r}")
     stepper = Pipeline(pipeline.configuration().detector_only)
     latest, num_frames = None, 0
-    for taken in itertools.islice(open_frames(source, reading, vehicle), frame + 1):
+    first_frames = dataclasses.replace(reading, limit=frame + 1)
+    for taken in itertools.islice(open_frames(source, first_frames, vehicle), frame + 1):
         latest, num_frames = (taken, stepper.step(taken)), num_frames + 1
     if latest is None or num_frames <= frame:
         raise ValueError(f"--frame: expected one of the {num_frames} frames of {source}, counted from 0, got {frame}")

@@ -77,6 +77,6 @@ class FileSource:
             except (ValueError, FileNotFoundError) as error:
                 if self._on_error == "stop":
                     raise
-                skipped.append(str(error))
+                skipped.append(" ".join(str(error).split()))
                 continue
             yield frame

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -31,6 +31,11 @@ class VehicleData(Protocol):
     def is_reported(self, frame: Frame) -> bool | None:  # noqa: ARG002
         """Whether the car's production system reports a vehicle at the time of `frame`; None where unknown."""
         return None
+
+    @property
+    def of_one_drive(self) -> Sequence[str]:
+        """What of the data is looked up by time alone, such as a log, and so belongs to one drive; for messages."""
+        return ()
 
 
 class Equipped:
@@ -68,8 +73,64 @@ class Equipped:
         return self.source.skipped
 
     def __iter__(self) -> Iterator[Frame]:
+        if not self.data.of_one_drive:
+            for frame in self.source:
+                yield equip(frame, self.data)
+            return
+        spans_ns: dict[str, tuple[int, int]] = {}
         for frame in self.source:
+            first_ns, last_ns = spans_ns.get(frame.sequence, (frame.timestamp_ns, frame.timestamp_ns))
+            span_ns = min(first_ns, frame.timestamp_ns), max(last_ns, frame.timestamp_ns)
+            if len(spans_ns) > (frame.sequence in spans_ns) and spans_ns.get(frame.sequence) != span_ns:
+                _check_apart(self, spans_ns, frame.sequence, span_ns)
+            spans_ns[frame.sequence] = span_ns
             yield equip(frame, self.data)
+
+    def check(self, limit: int | None = None) -> None:
+        """Checks that a log or poses are not applied to several drives, as far as this is known before reading frames.
+
+        Args:
+            limit: So many frames will be read; None for all.
+
+        Raises:
+            ValueError: If sequences of a set, which are drives of their own, overlap in time.
+        """
+        source = self.source
+        if isinstance(source, Equipped):
+            Equipped(source.source, self.data).check(limit)
+        elif isinstance(source, LabelledSource) and self.data.of_one_drive:
+            ids: dict[str, list[int]] = {}
+            for image_id in source.frame_ids[:limit]:
+                ids.setdefault(source.sequence(image_id).directory, []).append(image_id)
+            spans_ns: dict[str, tuple[int, int]] = {}
+            for name, (first, *others) in ids.items():
+                span_ns = _time_ns(source, first), _time_ns(source, (others or [first])[-1])
+                _check_apart(self, spans_ns, name, span_ns)
+                spans_ns[name] = span_ns
+
+
+def _time_ns(source: LabelledSource, image_id: int) -> int:
+    return round(source.sequence(image_id).start_time_ms * 1_000_000) + round(source.time_s(image_id) * 1e9)
+
+
+def _check_apart(
+    equipped: Equipped, spans_ns: Mapping[str, tuple[int, int]], name: str, span_ns: tuple[int, int]
+) -> None:
+    """ValueError if the sequence `name` overlaps another in time: by its time, a log would say the same of both."""
+    for other, (first_ns, last_ns) in spans_ns.items():
+        if other != name and max(first_ns, span_ns[0]) <= min(last_ns, span_ns[1]):
+            lasts = f"{other} lasts from {first_ns / 1e9:.3f} to {last_ns / 1e9:.3f} s"
+            raise ValueError(
+                f"{' and '.join(equipped.data.of_one_drive)}: expected one drive, to which such a file belongs, got "
+                f"sequences of {equipped.name} that overlap in time: {lasts}, {name} begins at "
+                f"{span_ns[0] / 1e9:.3f} s; give one sequence as the source{_example(equipped.source, other)}"
+            )
+
+
+def _example(source: FrameSource, directory: str) -> str:
+    """How one sequence of a split is given."""
+    folder = source.root / "images" / directory if isinstance(source, LabelledSource) else None
+    return f", such as {folder}" if folder is not None and folder.is_dir() else ""
 
 
 def equip(frame: Frame, data: VehicleData) -> Frame:

@@ -1,10 +1,10 @@
 """Work in many processes or on many machines: everything goes through `Workers.each`."""
 
 from foreglow.parallel.cluster import Cluster
-from foreglow.parallel.local import Local
+from foreglow.parallel.local import Local, safe_path
 from foreglow.parallel.pool import MAX_DEATHS, Parent, Work, Workers
 
-__all__ = ["MAX_DEATHS", "Cluster", "Local", "Parent", "Work", "Workers", "workers_at"]
+__all__ = ["MAX_DEATHS", "Cluster", "Local", "Parent", "Work", "Workers", "safe_path", "workers_at"]
 
 
 def workers_at(jobs: int, cluster: str | None) -> Workers:

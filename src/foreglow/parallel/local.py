@@ -24,8 +24,12 @@ from typing import Any
 from foreglow.parallel.pool import Item, LostProcessError, Parent, ProgressCallback, Result, Work, schedule
 from foreglow.plugins import traced
 
-ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""Environment of the processes: with one process per core, several threads in each only slow each other down."""
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+"""Environment of a Python that does not look into the working folder first: a `json.py` there is no standard module."""
+
+ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **SAFE_PATH}
+"""Environment of the processes: with one process per core, several threads in each only slow each other down. They
+begin without the working folder, and get the first process's `sys.path`, which may have it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +106,9 @@ class _Processes:
         return self._jobs
 
     def submit(self, name: str, item: Any) -> Future[Any]:  # noqa: ARG002
-        process = self._idle.pop() if self._idle else _Process.start(self._make_executor)
-        future: Future[Any] = process.executor.submit(_call, self._work, item)
+        with safe_path():  # loky starts processes of its own, too, which watch what is left behind
+            process = self._idle.pop() if self._idle else _Process.start(self._make_executor)
+            future: Future[Any] = process.executor.submit(_call, self._work, item)
         self._busy[future] = process
         return future
 
@@ -178,6 +183,21 @@ class _Pipe:
                 self.stop.set()
         except (EOFError, OSError):
             os._exit(1)
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """While the block lasts, a Python that is started does not look into the working folder first."""
+    earlier = {name: os.environ.get(name) for name in SAFE_PATH}
+    os.environ.update(SAFE_PATH)
+    try:
+        yield
+    finally:
+        for name, value in earlier.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 _PARENT: list[Parent] = []

@@ -59,6 +59,14 @@ class VehicleFiles(VehicleData):
         self._is_live = is_live
         self._scaled = cache(self._camera_of)  # the same camera for each frame: estimators keep results by camera
 
+    @property
+    def of_one_drive(self) -> Sequence[str]:
+        """The log and the poses, unless the log is of the frames' own drive."""
+        if self._is_live:
+            return ()
+        log = [] if self._log is None else [f"--can-log {self._names[1]}"]
+        return log if self._poses is None else [*log, f"--poses {self._names[2]}"]
+
     def camera(self, frame: Frame) -> Camera | None:
         """The calibration, scaled to the frame's size; None if there is no calibration.
 

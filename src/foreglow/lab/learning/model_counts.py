@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from foreglow.plugins import first_line_of
+
 # Index of the weights among a node's inputs.
 _CONVOLUTIONS = {"Conv": 1, "ConvInteger": 1, "QLinearConv": 3}
 _PRODUCTS = {"Gemm": 1, "MatMul": 1, "MatMulInteger": 1, "QLinearMatMul": 3}
@@ -44,7 +46,7 @@ def count_model(path: Path) -> ModelCounts:
     try:
         graph = onnx.shape_inference.infer_shapes(onnx.load(path), data_prop=True).graph
     except (DecodeError, onnx.shape_inference.InferenceError) as error:
-        raise ValueError(f"{path}: expected an ONNX model: {str(error).splitlines()[0]}") from error
+        raise ValueError(f"{path}: expected an ONNX model: {first_line_of(error)}") from error
     constants: dict[str, Any] = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:
         if node.op_type == "Constant":  # None for a plain number

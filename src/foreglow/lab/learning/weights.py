@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.lab.learning.export import Layers, layers_from_state, write_onnx
+from foreglow.plugins import first_line_of
 
 
 def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layers:
@@ -80,8 +81,8 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         AttributeError,
         TypeError,
     ) as error:
-        reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise ValueError(f"{path}: expected a plain torch state dict without code: {reason[0]}") from error
+        reason = first_line_of(error) or type(error).__name__
+        raise ValueError(f"{path}: expected a plain torch state dict without code: {reason}") from error
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: expected a state dict, got {type(state).__name__}")
     arrays: dict[str, NDArray[Any]] = {}

@@ -46,7 +46,9 @@ def options_of(text: str) -> frozenset[str]:
     return OPTIONS.get(_scheme(text), CAMERA_OPTIONS)
 
 
-def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: str | None = None) -> LiveSource:
+def open_live(
+    text: str, options: CameraOptions, *, speed: float = 1.0, topic: str | None = None, limit: int | None = None
+) -> LiveSource:
     """The live source called `text`.
 
     `camera:0` and `camera:/dev/video0` are cameras of this machine, `gstreamer:PIPELINE` ends in an appsink; an address
@@ -58,6 +60,7 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
         options: How it is read; vehicle data are also put beside replayed frames.
         speed: Replay so many times as fast; infinite for as fast as possible, without dropping a frame.
         topic: The image topic of a recording; None for the first.
+        limit: So many frames will be read; None for all.
 
     Raises:
         FileNotFoundError: If there is nothing at the path.
@@ -67,7 +70,11 @@ def open_live(text: str, options: CameraOptions, *, speed: float = 1.0, topic: s
     if opened is not None:
         return opened
     frames = open_source(text, topic=topic, on_error="mark")  # it goes on, as a camera does
-    return Paced(frames if options.data is None else Equipped(frames, options.data), speed)
+    if options.data is None:
+        return Paced(frames, speed)
+    equipped = Equipped(frames, options.data)
+    equipped.check(limit)
+    return Paced(equipped, speed)
 
 
 def open_camera(text: str, options: CameraOptions) -> LiveSource | None:

@@ -231,7 +231,7 @@ class FrameNode(ABC, Generic[Inputs]):
 
     def _note(self, fault: str, error: Exception) -> None:
         self.faults.add(fault)
-        reason = " ".join(words_of(error).split()) or type(error).__name__
+        reason = words_of(error) or type(error).__name__
         self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
 
     def _report(self) -> None:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from foreglow.plugins import words_of
 from foreglow.runtime.live import LiveSource
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
@@ -166,7 +167,7 @@ class Player:
                             return num_frames
                     reason = "it has ended"
                 except Exception as error:  # a camera's driver raises what it likes
-                    reason = str(error) or type(error).__name__
+                    reason = words_of(error) or type(error).__name__
                 self.ros.get_logger().error(f"camera_gone: {reason}", throttle_duration_sec=1.0)
                 time.sleep(RETRY_S)
         finally:

@@ -8,6 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
+from foreglow.plugins import words_of
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.node import Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam
@@ -86,4 +87,4 @@ class StatusLine:
         try:
             self._mode = read_beam(message, topics.BEAM)[1].mode.name.lower().replace("_", "-")
         except ValueError as error:
-            self._mode = f"unreadable ({error})"
+            self._mode = f"unreadable ({words_of(error)})"

@@ -264,6 +264,15 @@ def test_a_model_that_cannot_be_used_ends_it_before_it_begins(data: Path, tmp_pa
     assert list(tmp_path.iterdir()) == [model] or not any((tmp_path / "out").iterdir())
 
 
+def test_a_link_in_place_of_a_folder_for_an_experiment(data: Path, tmp_path: Path) -> None:
+    link = tmp_path / "out" / "drive"
+    link.parent.mkdir()
+    link.symlink_to(tmp_path / "gone")
+    line = complaint("reproduce", data, "--out", link.parent)
+    assert line == f"foreglow: {link}: expected a folder, got a link to {tmp_path / 'gone'}, which is not there\n"
+    assert list(link.parent.iterdir()) == [link]
+
+
 def test_the_command(tmp_path: Path) -> None:
     error = complaint("reproduce", tmp_path, "--out", tmp_path / "out")
     assert "expected the split test" in error

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
+from foreglow.plugins import first_line_of
 
 MIN_SCORE = 0.01
 """Boxes below this score are dropped; low, so that any threshold can be tried afterwards."""
@@ -258,7 +259,7 @@ def _read_checkpoint(checkpoint: Path) -> dict[str, Any]:
         content = torch.load(checkpoint, map_location="cpu", weights_only=True)
         return {name: content[name] for name in ("epoch", "best_mAP50_95")}
     except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
-        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        reason = first_line_of(error) or type(error).__name__
         raise ValueError(f"{checkpoint}: expected a checkpoint ({reason}); remove it to begin again") from error
 
 

@@ -25,6 +25,7 @@ from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.pipeline import Pipeline
+from foreglow.plugins import first_line_of
 
 STATE = "experiments.json"
 """What has been run, and why others could not be."""
@@ -135,7 +136,7 @@ def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent:
         try:
             experiment.run(plan, out / name, workers, progress)
         except (FileNotFoundError, ImportError, ValueError) as error:
-            reason, has_failed = str(error).partition("\n")[0], True
+            reason, has_failed = first_line_of(error), True
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
     return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason, "has_failed": has_failed}
 

@@ -24,7 +24,9 @@ from foreglow.files import check_each_once
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import percentiles, ratio
 from foreglow.lab.studies.progress import Progress
+from foreglow.parallel import safe_path
 from foreglow.pipeline import Pipeline
+from foreglow.plugins import words_of
 from foreglow.provenance import processor_name
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.health import Health
@@ -159,7 +161,7 @@ def run_experiment(
             try:
                 networks.append(in_fresh_process(over_ros2, split, config, num_paced, kind == "node"))
             except TimeoutError as error:
-                missing[KINDS[kind]] = str(error)
+                missing[KINDS[kind]] = words_of(error)
         progress(KINDS[kind], 1, 1)
     return RuntimeResults(
         dataset.name, 1.0 / (dataset.rate_hz or 18.0), config, processor_name(), tuple(networks), missing
@@ -252,7 +254,7 @@ def over_ros2(split: Path, config: PipelineConfig, num_frames: int, is_whole: bo
 
 def in_fresh_process(call: Callable[..., NetworkTimes], *arguments: Any) -> NetworkTimes:
     """The result of a call in a fresh process."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+    with safe_path(), ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         return pool.submit(call, *arguments).result()
 
 
