@@ -18,6 +18,8 @@ import cv2
 import numpy as np
 import pytest
 
+import foreglow.runtime
+import foreglow.runtime.ros2
 from foreglow.cli import errors
 from foreglow.datasets import open_source, shipped_drive
 from tests.cli.commands import PNG, complaint, foreglow_command
@@ -237,6 +239,7 @@ def test_ros_2_whose_libraries_are_not_found(monkeypatch: pytest.MonkeyPatch, tm
     (tmp_path / "rclpy").mkdir()
     reason = "librcl_action.so: cannot open shared object file: No such file or directory"
     (tmp_path / "rclpy" / "__init__.py").write_text(f"raise ImportError({reason!r} + chr(10) + 'The C extension')")
+    monkeypatch.setattr(foreglow.runtime, "ros2", foreglow.runtime.ros2)  # later tests get this one again
     for name in [name for name in sys.modules if name.startswith(("rclpy", "foreglow.runtime.ros2"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(str(tmp_path))
