@@ -150,7 +150,11 @@ def test_a_header_that_cannot_be_read_is_low_beam_at_once(bench: Bench, frame: F
         for spoil in (with_no_time, with_a_long_name):
             bench.until("", frame)
             count = len(bench.commands)
-            bench.until(BAD_MESSAGE, frame, lambda messages, topic=topic, spoil=spoil: spoil(messages[topic]))
+
+            def spoilt(messages: dict[str, Any], topic: str = topic, spoil: Callable[[Any], None] = spoil) -> None:
+                spoil(messages[topic])
+
+            bench.until(BAD_MESSAGE, frame, spoilt)
             refused = next(one for one in bench.commands[count:] if one.faults)
             assert (refused.mode, refused.faults) == (BeamMode.LOW, (BAD_MESSAGE,))
             assert BAD_MESSAGE in bench.node.faults
