@@ -9,15 +9,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.lab.evaluation.boxes.whose_light import MIN_VEHICLE_SHARE
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import ARRAYS, NO_GROUP, Samples, set_bounds
-from foreglow.types import KINDS
-
-LAMPS = [KINDS.index(name) for name in ("front_lamp", "rear_lamp")]
-
-MIN_LAMP_SHARE = 0.1
-"""A box holds a lamp in sight if lamps make at least this share of its contrast."""
+from foreglow.types.kinds import direct_of_kinds
 
 
 def epoch_indices(labels: NDArray[np.int8], recipe: Recipe, epoch: int) -> NDArray[np.intp]:
@@ -43,10 +39,11 @@ def batches(indices: NDArray[np.intp], batch_size: int) -> Iterator[NDArray[np.i
 def set_batches(samples: Samples, recipe: Recipe, epoch: int) -> Iterator[NDArray[np.intp]]:
     """All sets with labelled samples batch by batch, at least one in each, in an order drawn for this epoch.
 
-    Of a share of the sets, drawn again in every epoch, the lamps in sight are left out, as `Recipe.without_lamps` says.
+    Of a share of the sets, drawn again in every epoch, the boxes with a lamp in sight are left out, as
+    `Recipe.without_lamps` says: those of whose contrast lamps make at least `MIN_VEHICLE_SHARE`.
     """
     random = np.random.default_rng([recipe.seed, epoch])
-    is_labelled, is_lamp = samples.labels != IGNORED, samples.kinds[:, LAMPS].sum(axis=1) >= MIN_LAMP_SHARE
+    is_labelled, is_lamp = samples.labels != IGNORED, direct_of_kinds(samples.kinds) >= MIN_VEHICLE_SHARE
     bounds = [(start, end) for start, end in set_bounds(samples.sets) if is_labelled[start:end].any()]
     batch: list[NDArray[np.intp]] = []
     num_samples = 0

@@ -145,7 +145,8 @@ def _outcome(name: str, plan: ReproductionPlan, out: Path, known: Mapping[str, A
     file = out / name / EXPERIMENTS[name].results
     results = read_plain_json(file) if file.is_file() and not known["reason"] else None
     # Rows of the table of detectors that an interrupted call measured are not measured again.
-    load = max([known["load"], *(row.get("load", 0.0) for row in (results or {}).get("rows", []) if "name" in row)])
+    rows = (row for row in (results or {}).get("rows", []) if isinstance(row, dict))
+    load = max([known["load"], *(row.get("load", 0.0) for row in rows)])
     has_failed = known.get("has_failed", False)
     return Outcome(_words(name, plan, out), known["seconds"], load, known["reason"], has_failed, results)
 
