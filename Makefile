@@ -1,5 +1,5 @@
 # make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench,
-# make data [DATA=folder] [SCALE=share] [CAMERAS=name,...], make pvdn-data, make drives, make model-data, make model,
+# make data [DATA=folder] [SCALE=share] [CAMERAS=name,...] [JOBS=number], make pvdn-data, make drives, make model-data, make model,
 # make old-samples, make reproduce, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
@@ -101,44 +101,47 @@ bench: $(VENV)/.dev
 
 # The standard data in data/standard: 600 drives of the mixture "standard", half of them without any vehicle's light, and a
 # data card. Frames come in pairs, .25 s apart. make data SCALE=0.05 is a small set for trials. It goes on where it was, a drive at a time.
+# Each of the JOBS processes that render has one thread and takes up to 2.5 GB.
 DATA ?= data
 SCALE ?= 1
+JOBS ?= 2
+simulate = $(BIN)/foreglow simulate --jobs $(JOBS)
 CAMERAS ?= pvdn_day,pvdn_night,dashcam,phone,car_hdr,town_dashcam
 scenes = $(shell awk 'BEGIN { n = int($(1) * $(SCALE) + 0.5); print (n < 2 ? 2 : n) }')
 standard = --mixture standard --seed 17 --fps 1.25 --pairs 0.25 --camera $(CAMERAS) --shares foreglow
 data: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes $(call scenes,480) $(standard)
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes $(call scenes,60) $(standard)
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split test --scenes $(call scenes,60) $(standard)
+	$(simulate) --out $(DATA)/standard --split train --scenes $(call scenes,480) $(standard)
+	$(simulate) --out $(DATA)/standard --split val --scenes $(call scenes,60) $(standard)
+	$(simulate) --out $(DATA)/standard --split test --scenes $(call scenes,60) $(standard)
 	$(BIN)/python -m foreglow.lab.simulation.data_card $(DATA)/standard
 
 # Drives for docs/results.md, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights much that
 # is no vehicle: about 70 minutes on two cores; goes on where it was.
 pvdn-data: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out $(DATA) --split train --scenes 100 --seed 7 --fps 4
-	$(BIN)/foreglow simulate --out $(DATA) --split val --scenes 32 --seed 7 --fps 4
-	$(BIN)/foreglow simulate --out $(DATA) --split test --scenes 24 --seed 7 --fps 4
-	$(BIN)/foreglow simulate --out $(DATA)/beam/traffic --split train --scenes 50 --seed 31 --fps 4 --ego-beam matrix
-	$(BIN)/foreglow simulate --out $(DATA)/beam/traffic --split val --scenes 16 --seed 31 --fps 4 --ego-beam matrix
-	$(BIN)/foreglow simulate --out $(DATA)/beam/empty --split train --scenes 40 --seed 32 --fps 4 --ego-beam matrix --empty
-	$(BIN)/foreglow simulate --out $(DATA)/beam/empty --split val --scenes 12 --seed 32 --fps 4 --ego-beam matrix --empty
+	$(simulate) --out $(DATA) --split train --scenes 100 --seed 7 --fps 4
+	$(simulate) --out $(DATA) --split val --scenes 32 --seed 7 --fps 4
+	$(simulate) --out $(DATA) --split test --scenes 24 --seed 7 --fps 4
+	$(simulate) --out $(DATA)/beam/traffic --split train --scenes 50 --seed 31 --fps 4 --ego-beam matrix
+	$(simulate) --out $(DATA)/beam/traffic --split val --scenes 16 --seed 31 --fps 4 --ego-beam matrix
+	$(simulate) --out $(DATA)/beam/empty --split train --scenes 40 --seed 32 --fps 4 --ego-beam matrix --empty
+	$(simulate) --out $(DATA)/beam/empty --split val --scenes 12 --seed 32 --fps 4 --ego-beam matrix --empty
 
 # Drives at the camera's full rate, for tracks and the time benefit: about 100 minutes on two cores; goes on where it was.
 drives: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out $(DATA)/18hz --split val --scenes 40 --seed 11
-	$(BIN)/foreglow simulate --out $(DATA)/18hz --split test --scenes 40 --seed 11
+	$(simulate) --out $(DATA)/18hz --split val --scenes 40 --seed 11
+	$(simulate) --out $(DATA)/18hz --split test --scenes 40 --seed 11
 
 # The drives that the model was trained on, in data/model: a tenth of `make data`, and drives by PVDN's camera, also with all of the
 # matrix beam on and without any vehicle's light. Two hours of two cores; goes on where it was.
-draw = $(BIN)/foreglow simulate --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4) --shares foreglow
+draw = $(simulate) --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4) --shares foreglow
 pairs = --pairs 0.25 --fps
 both = --camera pvdn_day,pvdn_night $(pairs)
 matrix = --ego-beam matrix
 MODEL_SETS = $(wildcard $(DATA)/standard/*/*) $(wildcard $(DATA)/model/*/day $(DATA)/model/*/*/day $(DATA)/model/*/*/night)
 model-data: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split train --scenes 58 $(standard)
-	$(BIN)/foreglow simulate --out $(DATA)/standard --split val --scenes 8 $(standard)
-	$(BIN)/foreglow simulate --out $(DATA)/judge --split val --scenes 8 $(subst --seed 17,--seed 18,$(standard))
+	$(simulate) --out $(DATA)/standard --split train --scenes 58 $(standard)
+	$(simulate) --out $(DATA)/standard --split val --scenes 8 $(standard)
+	$(simulate) --out $(DATA)/judge --split val --scenes 8 $(subst --seed 17,--seed 18,$(standard))
 	$(call draw,low,train,12,7) --fps 4
 	$(call draw,low,val,6,7) --fps 4
 	$(call draw,pairs,train,20,57) $(pairs) 2.5
@@ -169,12 +172,12 @@ old-samples: $(VENV)/.dev
 # Every table, figure and number of the paper beside ours, on a few simulated drives, in runs/reproduction: meant for half
 # an hour of two idle cores; goes on where it was. With PVDN, run foreglow reproduce on it.
 reproduce: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split train --scenes 8 --seed 41 --fps 2
-	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split val --scenes 2 --seed 41
-	$(BIN)/foreglow simulate --out $(DATA)/reproduction --split test --scenes 3 --seed 41
-	$(BIN)/foreglow simulate --out $(DATA)/straight --split test --mixture r48 --scenes 4 --seed 48 --fps 1 --pairs 0.25
+	$(simulate) --out $(DATA)/reproduction --split train --scenes 8 --seed 41 --fps 2
+	$(simulate) --out $(DATA)/reproduction --split val --scenes 2 --seed 41
+	$(simulate) --out $(DATA)/reproduction --split test --scenes 3 --seed 41
+	$(simulate) --out $(DATA)/straight --split test --mixture r48 --scenes 4 --seed 48 --fps 1 --pairs 0.25
 	$(BIN)/foreglow reproduce $(DATA)/reproduction --out runs/reproduction --straight $(DATA)/straight \
-	    --epochs 2 --trials 40 --images 60 --scenes 2 --jobs 2
+	    --epochs 2 --trials 40 --images 60 --scenes 2 --jobs $(JOBS)
 
 # The pictures of docs/simulator.md: a minute or two.
 simulator-pictures: $(VENV)/.dev
@@ -185,7 +188,7 @@ simulator-pictures: $(VENV)/.dev
 REAL_LABELS ?= $(wildcard ../shared/data/pvdn_night_val_labels.json)
 REAL_IMAGE ?= $(wildcard ../shared/data/pvdn_frame_047433.png)
 simulator-report: $(VENV)/.dev
-	$(BIN)/foreglow simulate --out bench_output/drives --scenes 32 --seed 7 --split val --fps 4
+	$(simulate) --out bench_output/drives --scenes 32 --seed 7 --split val --fps 4
 	$(BIN)/foreglow experiment simulator bench_output/drives --out bench_output/simulator_report \
 	    $(if $(REAL_LABELS),--real-labels "$(REAL_LABELS)") $(if $(REAL_IMAGE),--real-image "$(REAL_IMAGE)")
 

@@ -66,6 +66,21 @@ def test_newest_system_library_wins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.renderer
+@pytest.mark.parametrize(("given", "expected"), [("1", 1), ("3,1", 3), ("all", 2)])
+def test_as_many_threads_render_as_the_environment_says(
+    monkeypatch: pytest.MonkeyPatch, given: str, expected: int
+) -> None:
+    drjit, before = importlib.import_module("drjit"), llvm.dr.thread_count()
+    monkeypatch.setenv(llvm.THREADS_VARIABLE, given)
+    try:
+        drjit.set_thread_count(2)
+        llvm.prepare.__wrapped__()
+        assert drjit.thread_count() == expected
+    finally:
+        drjit.set_thread_count(before)
+
+
+@pytest.mark.renderer
 def test_angles() -> None:
     angles = np.linspace(-np.pi, np.pi, 1001)[:-1]
     found = llvm.angle_rad(

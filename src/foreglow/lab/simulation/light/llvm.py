@@ -18,6 +18,7 @@ VARIANTS = ("cuda_ad_mono", "llvm_ad_mono")
 
 VARIANT_VARIABLE = "FOREGLOW_RENDER_VARIANT"
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
+THREADS_VARIABLE = "OMP_NUM_THREADS"
 
 PACKAGE = "karellen-llvm-core"
 """Package on PyPI that contains `libLLVM.so`; the extra `sim` depends on it."""
@@ -35,7 +36,8 @@ def prepare() -> str:
 
     A GPU is used if there is one, unless the environment variable `FOREGLOW_RENDER_VARIANT` says otherwise. A
     `DRJIT_LIBLLVM_PATH` that is already set takes precedence over the package from PyPI, and that over the system's
-    LLVM.
+    LLVM. As many threads render as `OMP_NUM_THREADS` says, else one for each core: threads of two renderers that wait
+    for work keep each other's cores busy, so `parallel.local` sets it to 1 for its processes.
 
     Raises:
         ModuleNotFoundError: If Mitsuba is not installed.
@@ -54,6 +56,9 @@ def prepare() -> str:
         else:
             os.environ[LLVM_VARIABLE] = str(_packaged_llvm() or _system_llvm())
     importlib.import_module("mitsuba").set_variant(variant)
+    threads = os.environ.get(THREADS_VARIABLE, "").partition(",")[0].strip()  # OpenMP takes a number for each level
+    if threads.isdecimal():
+        importlib.import_module("drjit").set_thread_count(int(threads))
     return variant
 
 
