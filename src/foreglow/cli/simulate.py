@@ -56,7 +56,13 @@ def simulate(
         option("NAME,...", "Camera profiles or their TOML files: each drive is rendered once and exposed for each."),
     ] = None,
     variants: Annotated[
-        int, option("K", "Sequences a drive and camera, with other strengths of light and veil.", min=1, max=1000)
+        int,
+        option(
+            "K",
+            "Sequences a drive and camera, with other strengths of light and veil, or unseen lamps.",
+            min=1,
+            max=1000,
+        ),
     ] = 1,
     shares: Annotated[
         str | None, option("PRESET,...", "Store whose light is in the proposals of these presets.")

@@ -163,6 +163,24 @@ def test_a_variant_without_a_vehicle_is_a_scene_without_it() -> None:
     np.testing.assert_allclose(off.by_source(), never.by_source(), atol=2e-5)
 
 
+def test_a_vehicle_out_of_sight_lights_what_it_lit() -> None:
+    variant = Variant(unseen=(0, 1))
+    camera, known = moment(lit(), variant), night_light()
+    assert camera.latest is not None
+    light = camera.latest.by_source()
+    assert float(known[:2].max()) > 0.01
+    assert float(light[:2].max()) == 0.0
+    np.testing.assert_allclose(light[2:], known[2:], atol=2e-4)  # lamps are subtracted from the sum
+    moments = Moments(lit(), camera_of(lit().camera), QUALITIES["fast"], headlamps := read_headlamps(), is_split=True)
+    labelled = camera.frame(moments, moments.at(0, np.ones((2, headlamps.num_leds))))
+    lamps = [lamp for vehicle in labelled.vehicles for lamp in vehicle.lamps]
+    assert lamps
+    assert all(lamp.visible_share == 0.0 for lamp in lamps)
+    artifacts = [artifact for vehicle in labelled.vehicles for artifact in vehicle.artifacts]
+    assert artifacts
+    assert not any(artifact.is_direct for artifact in artifacts)
+
+
 def test_a_variant_of_our_light_is_a_multiple_of_its_layer() -> None:
     changed = moment(lit(), Variant(low=0.5, high=0.5)).latest
     assert changed is not None

@@ -37,6 +37,8 @@ the motion in the image."""
 SKY_M = 1e4
 """Stands for the distance of the sky."""
 
+NO_POINTS = LampPoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+
 SHARE_COLUMNS = 640
 """In an image of more columns, it is asked for every second pixel or fewer which share of our light is left."""
 
@@ -108,8 +110,8 @@ class Moment:
     _directions: list[tuple[Image, Image, Image]] = field(default_factory=list, repr=False)
 
     def vehicles_in(self, variant: Variant) -> tuple[SeenVehicle, ...]:
-        """The vehicles, without the lamps of those that are off."""
-        return tuple(_dark(seen) if seen.actor.vehicle_id in variant.off else seen for seen in self.vehicles)
+        """The vehicles, without the lamps of those that are off, and with those of others out of sight."""
+        return tuple(_changed(seen, variant) for seen in self.vehicles)
 
     def own_in(self, variant: Variant) -> tuple[PlacedLamp, ...]:
         """Our headlamps at the variant's strength; a negative scale takes the low beam out of the whole light."""
@@ -265,8 +267,8 @@ class Moments:
             streaks=streaks,
             fixed_points=moment.fixed_points,
             vehicles=tuple(
-                None if seen.actor.vehicle_id in variant.off else _layers(moment, index)
-                for index, seen in enumerate(moment.vehicles)
+                None if seen.actor.vehicle_id in variant.off else _layers(moment, index, seen)
+                for index, seen in enumerate(moment.vehicles_in(variant))
             ),
             flow_px=flow_px,
             depth_m=moment.rendered.depth_m,
@@ -343,19 +345,23 @@ def _seen(index: int, actor: Actor, sightings: Sightings) -> SeenVehicle:
     )
 
 
-def _dark(seen: SeenVehicle) -> SeenVehicle:
-    """The vehicle with its lamps off."""
-    nothing = LampPoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-    return replace(seen, actor=replace(seen.actor, lamps=()), lamps=(), points=nothing, rear_points=nothing)
+def _changed(seen: SeenVehicle, variant: Variant) -> SeenVehicle:
+    """The vehicle as it is in a variant."""
+    if seen.actor.vehicle_id in variant.off:
+        return replace(seen, actor=replace(seen.actor, lamps=()), lamps=(), points=NO_POINTS, rear_points=NO_POINTS)
+    if seen.actor.vehicle_id in variant.unseen:
+        lamps = tuple(replace(lamp, visible_share=0.0) for lamp in seen.lamps)
+        return replace(seen, lamps=lamps, points=NO_POINTS, rear_points=NO_POINTS)
+    return seen
 
 
-def _layers(moment: Moment, index: int) -> VehicleLayers:
-    """The light of the vehicle at `index`."""
+def _layers(moment: Moment, index: int, seen: SeenVehicle) -> VehicleLayers:
+    """The light of the vehicle at `index`, whose lamps are `seen`."""
     rendered, layer, rear = moment.rendered, FIRST_VEHICLE_LAYER + index, moment.rear_layers[index]
     return VehicleLayers(
         rendered.surface_cd_m2[layer],
         rendered.haze_cd_m2[layer],
-        moment.vehicles[index].points,
+        seen.points,
         None if rear is None else rendered.surface_cd_m2[rear] + rendered.haze_cd_m2[rear],
-        moment.vehicles[index].rear_points,
+        seen.rear_points,
     )

@@ -1,4 +1,4 @@
-"""Variants of a drive: the same moments at other strengths of our beam, with vehicles off, behind another veil."""
+"""Variants of a drive: the same moments at other strengths of our beam, behind another veil, with vehicles off or unseen."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ VEIL_FACTORS = (0.25, 4.0)
 OFF_SHARE = 0.35
 """Probability of a vehicle to be off."""
 
+UNSEEN_SHARE = 0.5
+"""Probability that no vehicle's lamps are in sight, as before they come round a bend or over a crest."""
+
 
 class Variant(SpecModel):
     """How a variant differs from the scene.
@@ -31,12 +34,14 @@ class Variant(SpecModel):
         high: Factor on the rest of our own light: LEDs or high beam.
         veil: Factor on the veils of lens and windscreen.
         off: Numbers of the scene's vehicles whose lamps are off.
+        unseen: Numbers of those whose lamps are hidden from the camera, while all that they light is as it was.
     """
 
     low: NonNegative = 1.0
     high: NonNegative = 1.0
     veil: NonNegative = 1.0
     off: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
+    unseen: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
 
     @property
     def changes_own(self) -> bool:
@@ -66,4 +71,5 @@ def _drawn(scene: Scene, number: int) -> Variant:
     )
     lit = [index for index, vehicle in enumerate(scene.vehicles) if vehicle.beam != "off"]
     off = tuple(index for index in lit if rng.random() < OFF_SHARE)
-    return Variant(low=round(low, 4), high=round(high, 4), veil=round(veil, 4), off=off)
+    unseen = tuple(index for index in lit if index not in off) if rng.random() < UNSEEN_SHARE else ()
+    return Variant(low=round(low, 4), high=round(high, 4), veil=round(veil, 4), off=off, unseen=unseen)
