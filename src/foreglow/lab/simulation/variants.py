@@ -1,4 +1,4 @@
-"""Variants of a drive: the same moments at other strengths of our beam, behind another veil, with vehicles off or unseen."""
+"""Variants of a drive: its moments with our light stronger or weaker, another veil, and vehicles off or unseen."""
 
 from __future__ import annotations
 
