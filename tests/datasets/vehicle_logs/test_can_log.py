@@ -226,6 +226,25 @@ def test_a_broken_line_is_named(line: str, tmp_path: Path) -> None:
     assert not re.search("unpack|convert|literal|integer", str(error.value))
 
 
+@pytest.mark.parametrize(
+    ("suffix", "was", "becomes", "expected"),
+    [
+        (".asc", "timestamps absolute", "timestamps  Relative", r"line 2: expected timestamps absolute, got relative"),
+        (".log", r"\(([\d.]+)\)", r"\1", r"line 1: expected a frame as a CAN log of the kind \.log"),
+        (".log", "3A", "FFFFFFF3A", r"line 1: expected a frame as a CAN log of the kind \.log"),
+    ],
+)
+def test_logs_that_python_can_misreads(
+    suffix: str, was: str, becomes: str, expected: str, tmp_path: Path, drive: list[tuple[int, StreetMessage]]
+) -> None:
+    """Times since the frame before, times and identifiers in another form: motion came at wrong times."""
+    path = tmp_path / f"drive{suffix}"
+    write_can_log(path, drive)
+    path.write_text(re.sub(was, becomes, path.read_text()))
+    with pytest.raises(ValueError, match=rf"drive\{suffix}: {expected}"):
+        read_can_log(path)
+
+
 @pytest.mark.parametrize("suffix", [".asc", ".log"])
 def test_logs_put_together(suffix: str, tmp_path: Path, drive: list[tuple[int, StreetMessage]]) -> None:
     """Frames were put in order, so that the messages of two drives were mixed."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import math
+import re
 import struct
 import zlib
 from collections.abc import Collection, Iterator
@@ -33,12 +34,15 @@ MAX_OBJECT_BYTES = 1 << 24
 """Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
 
 _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
+_RELATIVE = re.compile(r"base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)  # each time counts from the event before
+_ID_BITS = 32  # of an identifier, with the flags of error frames
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
 _MIN_BLF_BYTES = 144  # of the file's header
 _OBJECT_HEAD = 16  # bytes: signature, size of the header, version, size and kind of the object
 
-LOG_SUFFIXES = (".asc", ".blf", ".log")
+CANDUMP = ".log"
+LOG_SUFFIXES = (".asc", ".blf", CANDUMP)
 """Vector's text and binary logs, and candump's."""
 
 CanKey: TypeAlias = tuple[int, bool]
@@ -92,10 +96,15 @@ def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
 
     try:
         with reader(file) as log:
-            yield from log
+            for frame in log:
+                # python-can takes any first and last character of a time for its parentheses, and any number of bits.
+                is_in_parentheses = path.suffix.lower() != CANDUMP or file.line.lstrip().startswith("(")
+                if frame.arbitration_id >= 1 << _ID_BITS or not is_in_parentheses:
+                    raise ValueError
+                yield frame
     # The documentation does not say what python-can's readers raise for a broken file.
     except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError):
-        if isinstance(file, _TextLog) and not file.is_too_long:
+        if isinstance(file, _TextLog) and not file.is_told:
             got = shortened(file.line.strip())
             words = f"expected a frame as a CAN log of the kind {path.suffix} has it, got {got}"
             raise ValueError(f"{_where(file, path)}: {words}") from None
@@ -114,24 +123,28 @@ class _TextLog(io.TextIOWrapper):
     Attributes:
         line: The latest.
         number: Its number, from 1 on.
-        is_too_long: Whether the line after it is.
+        is_told: Whether an error has said what is wrong with the line after it, or with itself.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path.open("rb"), encoding="latin-1")
+        self._path = path
         lines: Any = super()
         self._lines: Iterator[str] = bounded_lines(lines, path, MAX_LOG_LINE_BYTES)
-        self.line, self.number, self.is_too_long = "", 0, False
+        self.line, self.number, self.is_told = "", 0, False
 
     def __next__(self) -> str:  # type: ignore[override]  # typeshed has bytes there, for all files
         try:
             self.line = next(self._lines)
         except ValueError:
-            self.is_too_long = True
+            self.is_told = True
             raise
         self.number += 1
         if self.number == 1:
             self.line = self.line.removeprefix(_BYTE_ORDER_MARK)
+        if _RELATIVE.match(self.line):
+            self.is_told = True
+            raise ValueError(f"{self._path}: line {self.number}: expected timestamps absolute, got relative ones")
         return self.line
 
 
