@@ -35,7 +35,7 @@ MAX_OBJECT_BYTES = 1 << 24
 
 _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
 _RELATIVE = re.compile(r"base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)  # each time counts from the event before
-_ID_BITS = 32  # of an identifier, with the flags of error frames
+_CANDUMP_LINE = re.compile(r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-Fa-f]{1,8}#")  # time, bus, identifier
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
 _MIN_BLF_BYTES = 144  # of the file's header
@@ -97,9 +97,8 @@ def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
     try:
         with reader(file) as log:
             for frame in log:
-                # python-can takes any first and last character of a time for its parentheses, and any number of bits.
-                is_in_parentheses = path.suffix.lower() != CANDUMP or file.line.lstrip().startswith("(")
-                if frame.arbitration_id >= 1 << _ID_BITS or not is_in_parentheses:
+                # python-can takes any first and last character of a time for its parentheses, and bits of any identifier.
+                if path.suffix.lower() == CANDUMP and not _CANDUMP_LINE.match(file.line):
                     raise ValueError
                 yield frame
     # The documentation does not say what python-can's readers raise for a broken file.
