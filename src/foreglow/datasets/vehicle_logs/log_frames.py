@@ -97,7 +97,7 @@ def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
     try:
         with reader(file) as log:
             for frame in log:
-                # python-can takes any first and last character of a time for its parentheses, and bits of any identifier.
+                # python-can takes any characters around a time for parentheses, and bits of any identifier.
                 if path.suffix.lower() == CANDUMP and not _CANDUMP_LINE.match(file.line):
                     raise ValueError
                 yield frame
