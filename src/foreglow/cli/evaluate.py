@@ -66,6 +66,7 @@ def evaluate(
     from foreglow.datasets.pvdn.splits import found_name
     from foreglow.files import to_json, write_json_results
     from foreglow.lab.reports.evaluation_page import examination_lines, write_report
+    from foreglow.runs.predictions import run_threshold
     from foreglow.whole_files import together
 
     workers = work.workers()
@@ -75,7 +76,7 @@ def evaluate(
 
         require_matplotlib()
     if predictions is not None:
-        examination = _examined_file(split, predictions, _threshold_of(predictions) if threshold is None else threshold)
+        examination = _examined_file(split, predictions, run_threshold(predictions) if threshold is None else threshold)
     else:
         examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
     typer.echo(COMPARED)
@@ -113,16 +114,6 @@ def _configuration(options: PipelineOptions, predictions: Path | None, threshold
 
     classifier = ClassifierConfig(**(configuration.classifier.model_dump() | {"score_threshold": threshold}))
     return configuration.model_copy(update={"classifier": classifier})
-
-
-def _threshold_of(predictions: Path) -> float:
-    """The threshold that the run accepted its boxes with; 0.5, as the paper's, for predictions that no run wrote."""
-    from foreglow.config import read_config
-
-    path = predictions.with_name("config.toml")
-    if predictions.name != "frames.jsonl" or not path.is_file():
-        return 0.5
-    return read_config(path).classifier.score_threshold
 
 
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:

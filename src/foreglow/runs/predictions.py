@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
+from foreglow.config import read_config
 from foreglow.datasets.json_files import read_json
 from foreglow.geometry import Floats
 from foreglow.runs.frames_file import Box, FrameLine, FrameLineModel
@@ -94,6 +95,18 @@ class _CocoFile(RootModel[list[_CocoBox]]):
 
 class _JsonFile(RootModel[dict[str, Any] | list[Any]]):
     """Any of the three."""
+
+
+def run_threshold(path: Path | str) -> float:
+    """The threshold that the run accepted its boxes with; 0.5, as the paper's, for predictions that no run wrote.
+
+    Raises:
+        ValueError: If the run's configuration is broken.
+    """
+    config = Path(path).with_name("config.toml")
+    if Path(path).name != "frames.jsonl" or not config.is_file():
+        return 0.5
+    return read_config(config).classifier.score_threshold
 
 
 def read_predictions(path: Path | str) -> Predictions:

@@ -246,6 +246,9 @@ def test_a_split_and_a_file(tmp_path: Path) -> None:
     assert (quality.tp, quality.fp, quality.fn) == (2, 0, 1)
     assert (quality.num_images, quality.num_missing, quality.num_unknown) == (5, 4, 1)
     assert evaluate_split(split, path, threshold=0.3).fp == 1
+    (tmp_path / "config.toml").write_text("[classifier]\nscore_threshold = 0.3\n")
+    assert evaluate_split(split, path).fp == 1  # that of the run, as the command has it
+    (tmp_path / "config.toml").unlink()
     assert evaluate_split(split / "images" / "S00001", path).num_images == 2
     for image in split.rglob("*.png"):
         image.unlink()

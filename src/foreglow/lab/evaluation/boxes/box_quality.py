@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
-from foreglow.runs.predictions import Predictions, read_predictions
+from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ def evaluate_boxes(
     )
 
 
-def evaluate_split(split: Path | str, predictions: Path | str, threshold: float = 0.5) -> BoxQuality:
+def evaluate_split(split: Path | str, predictions: Path | str, threshold: float | None = None) -> BoxQuality:
     """How well the predictions in a file explain a PVDN split.
 
     Every image of the split counts, with all its instances: direct, indirect and rear. Each must have its keypoint
@@ -133,14 +133,15 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     Args:
         split: The split's folder, or a sequence's for this sequence alone.
         predictions: A file as `read_predictions` takes it.
-        threshold: A box counts if its score is above this.
+        threshold: A box counts if its score is above this; None for that of the run, or 0.5 without a run.
 
     Raises:
         FileNotFoundError: If the split, a label file or the predictions are missing.
         ValueError: If one of them is broken.
     """
     found = read_predictions(predictions)
-    return evaluate_boxes(split_keypoints_px(open_labelled(split)), found, threshold)
+    least = run_threshold(predictions) if threshold is None else threshold
+    return evaluate_boxes(split_keypoints_px(open_labelled(split)), found, least)
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:
