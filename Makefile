@@ -116,7 +116,7 @@ data: $(VENV)/.dev
 	$(BIN)/python -m foreglow.lab.simulation.data_card $(DATA)/standard
 
 # Drives for docs/results.md, 1280x960, 4 frames a second, with low beam, and with all of the matrix beam on, which lights much that
-# is no vehicle: about 70 minutes on two cores; goes on where it was.
+# is no vehicle: about 70 minutes with JOBS=1 on two cores; goes on where it was.
 pvdn-data: $(VENV)/.dev
 	$(simulate) --out $(DATA) --split train --scenes 100 --seed 7 --fps 4
 	$(simulate) --out $(DATA) --split val --scenes 32 --seed 7 --fps 4
@@ -126,13 +126,13 @@ pvdn-data: $(VENV)/.dev
 	$(simulate) --out $(DATA)/beam/empty --split train --scenes 40 --seed 32 --fps 4 --ego-beam matrix --empty
 	$(simulate) --out $(DATA)/beam/empty --split val --scenes 12 --seed 32 --fps 4 --ego-beam matrix --empty
 
-# Drives at the camera's full rate, for tracks and the time benefit: about 100 minutes on two cores; goes on where it was.
+# Drives at the camera's full rate, for tracks and the time benefit: about 100 minutes with JOBS=1 on two cores; goes on where it was.
 drives: $(VENV)/.dev
 	$(simulate) --out $(DATA)/18hz --split val --scenes 40 --seed 11
 	$(simulate) --out $(DATA)/18hz --split test --scenes 40 --seed 11
 
 # The drives that the model was trained on, in data/model: a tenth of `make data`, and drives by PVDN's camera, also with all of the
-# matrix beam on and without any vehicle's light. Two hours of two cores; goes on where it was.
+# matrix beam on and without any vehicle's light. Two hours with JOBS=1 on two cores; goes on where it was.
 draw = $(simulate) --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4) --shares foreglow
 pairs = --pairs 0.25 --fps
 both = --camera pvdn_day,pvdn_night $(pairs)
