@@ -153,14 +153,16 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             line, code = "interrupted", INTERRUPTED
-        except (BrokenPipeError, typer.Exit, typer.Abort):
-            raise  # of a broken pipe: the reader of the output, such as `head`, has closed it
+        except (typer.Exit, typer.Abort):
+            raise
         except _ClickException as error:
             _name_what_is_not_finite(error)
             raise
         except BaseException as error:
             if is_debug or not (isinstance(error, Exception) or raising(error)):
                 raise
+            if isinstance(error, BrokenPipeError) and not raising(error):
+                raise  # the reader of the output, such as `head`, has closed it
             is_interrupted = any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error))
             line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
         _complain(line)
