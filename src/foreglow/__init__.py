@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from foreglow.beam import BeamPolicy
     from foreglow.config import PipelineConfig, preset, read_config
-    from foreglow.datasets import PVDN, open_source, read_image, to_grey
+    from foreglow.datasets import PVDN, open_source, read_image, red_chroma, to_grey
     from foreglow.distance import RangeEstimator
     from foreglow.geometry import Camera
     from foreglow.lab import simulation
@@ -78,6 +78,7 @@ __all__ = [
     "read_config",
     "read_image",
     "read_run",
+    "red_chroma",
     "simulate",
     "simulation",
     "to_grey",
@@ -86,7 +87,7 @@ __all__ = [
 _NAMES = {
     "beam": "BeamPolicy",
     "config": "PipelineConfig preset read_config",
-    "datasets": "PVDN open_source read_image to_grey",
+    "datasets": "PVDN open_source read_image red_chroma to_grey",
     "distance": "RangeEstimator",
     "geometry": "Camera",
     "lab.evaluation": "BoxQuality evaluate_boxes evaluate_split",

@@ -174,7 +174,7 @@ def make_shown(path: Path, *, turned_deg: int, is_mirrored: bool) -> Path:
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
         stream.set_display_rotation(turned_deg, hflip=is_mirrored)
         image = np.zeros((96, 128, 3), np.uint8)
-        image[:48, :64] = 200
+        image[:48, :64] = (250, 180, 180)  # grey 200, and reddish
         for _ in range(3):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode(None))
@@ -192,6 +192,8 @@ def test_a_display_matrix_is_applied(tmp_path: Path, turned_deg: int, is_mirrore
     for frame in Video(path):
         assert frame.image.shape == expected.shape
         assert np.abs(frame.image - expected).mean() < 10
+        assert frame.red_chroma is not None
+        assert np.abs(frame.red_chroma - np.where(expected[::2, ::2] > 0, 128 + 29, 128)).mean() < 4
 
 
 def test_other_turns_are_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.classifier.colour import kinds_by_colour, redness
 from foreglow.classifier.inputs import NUMS_FEATURES, ClassifierInputs, InputMaker, InputSpec
 from foreglow.classifier.session import model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
@@ -87,6 +88,9 @@ class OnnxClassifier:
         if not math.isfinite(np.add.reduce(logits, axis=None)):
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
         scores, *light_kinds = _probabilities(logits)
+        if frame.red_chroma is not None and self.config.colour:
+            reds = redness(frame, proposals.boxes_xyxy_px)
+            light_kinds = [kinds_by_colour(each, reds) for each in light_kinds]
         return Detections(proposals, scores, threshold, *light_kinds)
 
     def _logits(self, inputs: ClassifierInputs) -> NDArray[np.float32]:

@@ -139,6 +139,7 @@ class ClassifierConfig(FrozenModel):
         score_threshold: A proposal is accepted if its score is above this.
         num_threads: Threads used for inference.
         device: `cpu`, or `cuda` for a GPU where ONNX Runtime has it.
+        colour: Whether light is told to be of a front or a rear lamp by its colour, too, where the camera has one.
     """
 
     model: Annotated[Path, Field(strict=False)] | None = None
@@ -146,6 +147,7 @@ class ClassifierConfig(FrozenModel):
     score_threshold: Annotated[float, Field(ge=0, le=1)] = 0.5
     num_threads: Annotated[int, Field(ge=1, le=256)] = 1
     device: Literal["cpu", "cuda"] = "cpu"
+    colour: bool = True
 
 
 class DistanceConfig(FrozenModel):

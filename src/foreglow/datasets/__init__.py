@@ -8,7 +8,7 @@ MCAP files, which `foreglow.runtime.mcap` records; `pvdn` and `simulated` read a
 from foreglow.datasets.bags import Recording
 from foreglow.datasets.formats import open_labelled, open_source
 from foreglow.datasets.image_folder import ImageFolder
-from foreglow.datasets.images import read_image, to_grey
+from foreglow.datasets.images import read_image, red_chroma, to_grey
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import (
     PVDN,
@@ -71,6 +71,7 @@ __all__ = [
     "part_names",
     "part_of",
     "read_image",
+    "red_chroma",
     "shipped_drive",
     "split_folder",
     "split_in",

@@ -7,8 +7,11 @@ import zlib
 from collections.abc import Iterator
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from foreglow.datasets.images import COLOURLESS, Chroma, if_coloured
 from foreglow.types import Image
 
 FILM_FORMATS = (
@@ -33,6 +36,9 @@ FILM_FORMATS = (
 )
 """FFmpeg's names of the containers and raw streams that cameras and recorders write. FFmpeg knows 300 more, among them
 text art, which takes any prose for a video, and play lists, which open other files."""
+
+_WHOLE_RANGE = 2
+"""FFmpeg's number for pictures whose values reach from 0 to 255."""
 
 
 def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
@@ -142,10 +148,36 @@ def grey_image(picture: Any) -> Image:
     Raises:
         ValueError: If the display matrix is more than quarter turns and mirroring; the message does not say where.
     """
+    deep = max(component.bits for component in picture.format.components) > 8
+    image: Image = _upright(picture, picture.to_ndarray(format="gray16le" if deep else "gray"))
+    return image
+
+
+def red_chroma(picture: Any) -> Chroma | None:
+    """As `images.red_chroma`, of a picture as it is shown; None for one without colour.
+
+    Taken from the chroma as it was coded, whose matrix may be that of BT.709: what is red has up to a tenth less then.
+
+    Raises:
+        ValueError: If the display matrix is more than quarter turns and mirroring; the message does not say where.
+    """
+    if len(picture.format.components) < 3:
+        return None
+    halved = picture if picture.format.name in ("yuv420p", "yuvj420p") else picture.reformat(format="yuv420p")
+    size = (-(-picture.height // 2), -(-picture.width // 2))
+    blue, red = (
+        np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: size[0], : size[1]] for plane in halved.planes[1:]
+    )
+    is_whole = halved.format.name == "yuvj420p" or halved.color_range == _WHOLE_RANGE
+    scale = 1.0 if is_whole else 255 / 224
+    chroma = cv2.addWeighted(red, scale, blue, scale / 2, COLOURLESS * (1.0 - 1.5 * scale))
+    return if_coloured(np.asarray(_upright(picture, chroma), np.uint8))
+
+
+def _upright(picture: Any, image: Any) -> NDArray[Any]:
+    """An image of the picture, turned and mirrored by its display matrix."""
     from av.sidedata.sidedata import SideDataContainer
 
-    deep = max(component.bits for component in picture.format.components) > 8
-    image: Any = picture.to_ndarray(format="gray16le" if deep else "gray")
     # Not `picture.side_data`, by which the two hold each other: pictures would pile up until Python looks for cycles.
     matrix = SideDataContainer(picture).get("DISPLAYMATRIX")  # type: ignore[call-arg]
     if matrix is not None:

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.image_bytes import JPEG_SIGNATURE
-from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_image
+from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_coloured_image
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.files import in_unicode
 from foreglow.types import Frame
@@ -146,7 +146,8 @@ class ImageFolder(FileSource):
 
     def _frame(self, index: int) -> Frame:
         path, timestamp_ns = self._files[index], round(index * 1e9 / self.rate_hz)
-        return Frame(read_image(path), timestamp_ns=timestamp_ns, frame=self._numbers[index], path=str(path))
+        image, chroma = read_coloured_image(path)
+        return Frame(image, timestamp_ns, self._numbers[index], path=str(path), red_chroma=chroma)
 
 
 def _in_sequences(frames: Iterable[Frame]) -> Iterator[Frame]:

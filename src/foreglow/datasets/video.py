@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image
+from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image, red_chroma
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.types import Frame
@@ -151,11 +151,12 @@ class Video(FileSource):
 
     def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
         try:
-            image = grey_image(picture)
+            image, chroma = grey_image(picture), red_chroma(picture)
         except ValueError as error:
             raise ValueError(f"{self.path}: frame {index}: {error}") from None
         check_size(image.shape[0], image.shape[1], f"{self.path}: frame {index}")
-        return Frame(image, timestamp_ns, frame=index, path=f"{self.path}, frame {index}", is_damaged=is_damaged)
+        path = f"{self.path}, frame {index}"
+        return Frame(image, timestamp_ns, frame=index, path=path, is_damaged=is_damaged, red_chroma=chroma)
 
     def _timestamp_ns(self, index: int, picture: Any, latest: tuple[int, int]) -> int:
         """The picture's own time; without one, what the rate makes of number and time of the `latest` frame."""

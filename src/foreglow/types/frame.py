@@ -131,10 +131,14 @@ class Frame(Value):
         is_reported: Whether the car's production system, if it has one, reports a vehicle; None where unknown.
         earlier: The image from shortly before that the source keeps beside this one, as data sets of single images do;
             None without one.
+        red_chroma: Of a camera with colour, shape (ceil(height / 2), ceil(width / 2)), uint8: how much redder than
+            white light of any colour temperature it is, see `datasets.images.red_chroma`; 128 for white, more for
+            red. None without colour.
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the camera is for
-            images of another size, the time is no whole number of 64 bits, or the earlier image is not earlier.
+            images of another size, the time is no whole number of 64 bits, the earlier image is not earlier, or the
+            chroma has another shape or type.
     """
 
     image: Image
@@ -148,6 +152,7 @@ class Frame(Value):
     is_damaged: bool = False
     is_reported: bool | None = None
     earlier: Frame | None = None
+    red_chroma: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         origin = f"{self.path}: " if self.path else ""
@@ -180,6 +185,12 @@ class Frame(Value):
                 f"{origin}Frame.earlier: expected an image from before {self.timestamp_ns} ns, got one from "
                 f"{self.earlier.timestamp_ns} ns"
             )
+        if self.red_chroma is not None:
+            half = (-(-self.image.shape[0] // 2), -(-self.image.shape[1] // 2))
+            shape, dtype = self.red_chroma.shape, self.red_chroma.dtype
+            if shape != half or dtype != np.uint8:
+                raise ValueError(f"{origin}Frame.red_chroma: expected shape {half}, uint8, got {shape}, {dtype}")
+            object.__setattr__(self, "red_chroma", frozen_view(self.red_chroma))
 
     @property
     def width_px(self) -> int:

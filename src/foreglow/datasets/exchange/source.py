@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import EARLIER_IMAGE, ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
 from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in
-from foreglow.datasets.images import read_image
+from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
@@ -121,7 +121,8 @@ class LabelFile(LabelledSource):
         path = self.image_path(image_id)
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
-        return self._checked(Frame(read_image(path), 0, path=str(path)), image_id)
+        image, chroma = read_coloured_image(path)
+        return self._checked(Frame(image, 0, path=str(path), red_chroma=chroma), image_id)
 
     def has_earlier(self, image_id: int) -> bool:
         """Whether a file beside the image is its earlier one, whose age nobody knows, and that has no labels."""

@@ -15,7 +15,8 @@ from av.error import FFmpegError
 
 from foreglow.datasets import VehicleData, to_grey
 from foreglow.datasets.decoding import decoded
-from foreglow.datasets.images import check_size, quiet_opencv
+from foreglow.datasets.decoding import red_chroma as chroma_of
+from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chroma
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame, Image
 
@@ -76,12 +77,12 @@ class LiveCamera(ABC):
         """The machine's steady clock."""
         return time.monotonic_ns()
 
-    def arrived(self, image: Image, *, is_damaged: bool = False) -> Frame:
-        """The next frame: a grey image that has just arrived."""
+    def arrived(self, image: Image, *, is_damaged: bool = False, red_chroma: Chroma | None = None) -> Frame:
+        """The next frame: a grey image that has just arrived, and its colour, if there is any."""
         timestamp_ns = self.now_ns() - round(self._options.delay_s * 1e9)
         check_size(image.shape[0], image.shape[1], self.name)
         path = f"{self.name}, frame {self._number}"
-        frame = Frame(image, timestamp_ns, self._number, path=path, is_damaged=is_damaged)
+        frame = Frame(image, timestamp_ns, self._number, path=path, is_damaged=is_damaged, red_chroma=red_chroma)
         self._number += 1
         return frame if self._options.data is None else equip(frame, self._options.data)
 
@@ -117,7 +118,8 @@ class CaptureCamera(LiveCamera):
                 is_read, image = capture.read()
                 if not is_read:
                     raise OSError(f"{self.name}: brings no more frames")
-                yield self.arrived(to_grey(image, self.name, order="bgr"))
+                chroma = red_chroma(image, order="bgr")
+                yield self.arrived(to_grey(image, self.name, order="bgr"), red_chroma=chroma)
         finally:
             capture.release()
 
@@ -155,6 +157,7 @@ class StreamCamera(LiveCamera):
             try:
                 for picture, is_damaged in decoded(container, container.streams.video[0]):
                     if picture is not None:
-                        yield self.arrived(picture.to_ndarray(format="gray"), is_damaged=is_damaged)
+                        image, chroma = picture.to_ndarray(format="gray"), chroma_of(picture)
+                        yield self.arrived(image, is_damaged=is_damaged, red_chroma=chroma)
             except FFmpegError as error:
                 raise OSError(f"{self.name}: {error.strerror}") from error
