@@ -126,6 +126,7 @@ def config_to_toml(config: PipelineConfig) -> str:
     score_threshold = 0.5
     num_threads = 1
     device = "cpu"
+    colour = true
     """
     # Python mode keeps infinity, which JSON mode would turn into null; a path is the one value TOML does not know.
     sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)
