@@ -95,13 +95,14 @@ class Samples:
             return np.zeros(0, np.intp)
         around = np.ones((3, 3), np.uint8)
         high, low = cv2.dilate(luminance_cd_m2, around), cv2.erode(luminance_cd_m2, around)
-        contrast = ((high - low) / np.maximum(high, self._settings.edge_cd_m2)).ravel()
-        contrast[(high - low).ravel() < self._settings.edge_cd_m2] = 0.0
-        most = int(self._settings.max_extra_share * contrast.size)
+        difference = (high - low).ravel()
+        chosen = np.flatnonzero(difference >= self._settings.edge_cd_m2)
+        contrast = difference[chosen] / np.maximum(high.ravel()[chosen], self._settings.edge_cd_m2)
+        most = int(self._settings.max_extra_share * difference.size)
         least = self._settings.edge_contrast
         if np.count_nonzero(contrast > least) > most:
             least = float(np.partition(contrast, contrast.size - most - 1)[contrast.size - most - 1])
-        chosen = np.flatnonzero(contrast > least)
+        chosen = chosen[contrast > least]
         return chosen[np.argsort(self._ranks[chosen])]
 
 
