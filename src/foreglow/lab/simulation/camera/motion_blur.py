@@ -60,27 +60,33 @@ def blur(luminance: Image, flow_px: NDArray[np.float32] | None) -> Image:
     """
     if flow_px is None:
         return luminance
-    least_px = MIN_MOTION_PX / np.sqrt(2.0)
-    is_moving = (np.abs(flow_px[..., 0]) > least_px) | (np.abs(flow_px[..., 1]) > least_px)
-    rows, columns = np.flatnonzero(is_moving.any(1)), np.flatnonzero(is_moving.any(0))
-    if not len(rows):
-        return luminance
-    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    x, y = np.meshgrid(
-        np.arange(columns[0], columns[-1] + 1, dtype=np.float32), np.arange(rows[0], rows[-1] + 1, dtype=np.float32)
-    )
-    flow_x, flow_y = np.ascontiguousarray(flow_px[*window, 0]), np.ascontiguousarray(flow_px[*window, 1])
     blurred = luminance
-    for spacing in (1.0 / NUM_TAPS, 1.0 / NUM_TAPS**2):  # a coarse comb, then a fine one that fills its gaps
+    # A coarse comb, then a fine one that fills its gaps, where these are wider than a pixel.
+    for spacing, least_px in ((1.0 / NUM_TAPS, MIN_MOTION_PX), (1.0 / NUM_TAPS**2, float(NUM_TAPS))):
+        window = _moving(flow_px, least_px)
+        if window is None:
+            break
+        rows, columns = (np.arange(each.start, each.stop, dtype=np.float32) for each in window)
+        x, y = np.meshgrid(columns, rows)
+        flow_x, flow_y = (np.ascontiguousarray(flow_px[*window, axis]) for axis in (0, 1))
         total = np.zeros_like(x)
         for tap in range(NUM_TAPS):
-            share = np.float32((tap - (NUM_TAPS - 1) / 2) * spacing)
-            total += cv2.remap(
-                blurred, x + share * flow_x, y + share * flow_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
+            share = (tap - (NUM_TAPS - 1) / 2) * spacing
+            at_x, at_y = cv2.scaleAdd(flow_x, share, x), cv2.scaleAdd(flow_y, share, y)
+            cv2.accumulate(cv2.remap(blurred, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), total)
         blurred = blurred.copy() if blurred is luminance else blurred
         blurred[window] = total / NUM_TAPS
     return blurred
+
+
+def _moving(flow_px: NDArray[np.float32], least_px: float) -> tuple[slice, slice] | None:
+    """Rows and columns around all that moves by more than `least_px`; None if nothing does."""
+    least_px /= np.sqrt(2.0)
+    is_moving = (np.abs(flow_px[..., 0]) > least_px) | (np.abs(flow_px[..., 1]) > least_px)
+    rows, columns = np.flatnonzero(is_moving.any(1)), np.flatnonzero(is_moving.any(0))
+    if not len(rows):
+        return None
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def sheared(luminance: Image, motion_px: Image) -> Image:

@@ -64,7 +64,7 @@ class Lights:
         self._numbers = mi.Float(numbers.ravel())
         self._layouts = mi.UInt32(layouts.ravel())
 
-    def summed(self, slots: Number, luminance: Callable[[Number], Number]) -> Number:
+    def summed(self, slots: Number, is_lit: Number, luminance: Callable[[Number], Number]) -> Number:
         """The sum of `luminance(number)`, which has one value per ray, over the lamps of each layer.
 
         The loop runs on the device, so that the kernel does not depend on the numbers of lamps and layers. It adds in
@@ -72,6 +72,8 @@ class Lights:
 
         Args:
             slots: For each ray, the slot of its sum within a layer; a permutation of the numbers of the rays.
+            is_lit: For each ray, whether there is anything to light; the sums of others are 0. Rays that are computed
+                together pass over all lamps if none of them has anything, such as those to the sky.
             luminance: A function of the number of a lamp.
 
         Returns:
@@ -82,18 +84,17 @@ class Lights:
         stride = dr.opaque(mi.UInt32, num)
         num_layers = dr.opaque(mi.UInt32, self.num_layers)
 
-        def layer_step(layer: Number, number: Number) -> tuple[Number, Number]:
-            end = dr.gather(mi.UInt32, self._layer_starts, layer + 1)
-            number, total = dr.while_loop(
-                (number, dr.zeros(mi.Float, num)),
-                lambda number, _total: number < end,
+        def layer_step(layer: Number) -> tuple[Number]:
+            start, end = (dr.gather(mi.UInt32, self._layer_starts, at) for at in (layer, layer + 1))
+            _, total = dr.while_loop(
+                (start, dr.zeros(mi.Float, num)),
+                lambda number, _total: (number < end) & is_lit,
                 lambda number, total: (number + 1, total + luminance(number)),
             )
             dr.scatter(out, total, layer * stride + slots)
-            return layer + 1, number
+            return (layer + 1,)
 
-        first = dr.zeros(mi.UInt32, num)
-        dr.while_loop((first, mi.UInt32(first)), lambda layer, _number: layer < num_layers, layer_step)
+        dr.while_loop((dr.zeros(mi.UInt32, num),), lambda layer: layer < num_layers, layer_step)
         return out
 
     def position(self, number: Number) -> Number:

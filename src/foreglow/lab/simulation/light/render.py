@@ -24,6 +24,9 @@ __all__ = ["QUALITIES", "RenderSettings", "Rendered", "Renderer"]
 
 Floats32 = NDArray[np.float32]
 
+MOST_REFLECTED_PER_SR = 1e3
+"""Luminance for 1 lx beyond that of all surfaces; the sheeting of signs reaches some hundreds."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
@@ -188,14 +191,26 @@ def _reflected(space: Space, air: Air, surface: Surface, distance_m: Number, slo
         light = space.lights.towards(surface.position, number)
         lost = dr.exp(-air.scattering_per_m * (distance_m + light.distance_m))
         illuminance = light.intensity_cd * lost / greatest(dr.square(light.distance_m), 1e-4)
-        sent = illuminance * reflectance_per_sr(surface, light.direction)
-        counts = surface.is_hit & (sent > space.darkest_cd_m2)
-        side = dr.select(dr.dot(surface.outward, light.direction) > 0, START_GAP_M, -START_GAP_M)
-        start = surface.position + surface.outward * side + light.direction * START_GAP_M
-        blocked = space.world.is_blocked(start, light.direction, light.distance_m - END_GAP_M, counts)
-        return dr.select(counts & ~blocked, sent, 0.0)
 
-    return space.lights.summed(slots, luminance)
+        def sent(illuminance: Number, distance_m: Number, *direction: Number) -> Number:
+            return _sent(space, surface, illuminance, mi.Vector3f(*direction), distance_m)
+
+        # Rays that are computed together pass over a lamp that lights none of them: most vehicles' lamps look away.
+        counts = illuminance > space.darkest_cd_m2 / MOST_REFLECTED_PER_SR
+        values = (illuminance, light.distance_m, *light.direction)
+        return dr.if_stmt(values, counts, sent, lambda *_: mi.Float(0.0))
+
+    return space.lights.summed(slots, surface.is_hit, luminance)
+
+
+def _sent(space: Space, surface: Surface, illuminance_lx: Number, direction: Number, distance_m: Number) -> Number:
+    """Luminance of the surfaces in the light of a lamp in `direction`, unless something is in between."""
+    sent = illuminance_lx * reflectance_per_sr(surface, direction)
+    counts = sent > space.darkest_cd_m2
+    side = dr.select(dr.dot(surface.outward, direction) > 0, START_GAP_M, -START_GAP_M)
+    start = surface.position + surface.outward * side + direction * START_GAP_M
+    blocked = space.world.is_blocked(start, direction, distance_m - END_GAP_M, counts)
+    return dr.select(counts & ~blocked, sent, 0.0)
 
 
 def _placed(values: Number, slots: Number) -> Number:

@@ -83,7 +83,7 @@ class Haze:
             blocked = space.world.is_blocked(point, light.direction, light.distance_m - END_GAP_M, counts)
             return dr.select(counts & ~blocked, sent, 0.0)
 
-        out = space.lights.summed(index, luminance)
+        out = space.lights.summed(index, mi.Bool(True), luminance)
         dr.eval(out)
         return out
 
