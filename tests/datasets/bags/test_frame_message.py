@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 from foreglow.datasets.bags import FrameMessage
 from foreglow.datasets.json_files import parse_json
@@ -83,9 +85,31 @@ def test_a_message_of_an_earlier_recording() -> None:
         "road": road,
     }
     frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
-    assert json.loads(FrameMessage.of(frame).to_json()) == fields | {"is_damaged": False, "is_reported": None}
+    later = {"is_damaged": False, "is_reported": None, "red_chroma": None}
+    assert json.loads(FrameMessage.of(frame).to_json()) == fields | later
     assert frame.camera is not None
     assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
+
+
+@given(arrays(np.uint8, (24, 32)))
+def test_colour(chroma: NDArray[np.uint8]) -> None:
+    np.testing.assert_array_equal(returned(Frame(IMAGE, 0, red_chroma=chroma)).red_chroma, chroma)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"height": 25}, "red_chroma: zlib: expected 25 rows of 32 bytes, got 768 bytes"),
+        ({"height": 1_000_000}, "red_chroma.height: .*4096"),
+        ({"zlib": "x"}, "red_chroma: zlib: expected compressed rows in base 64, cannot be read"),
+        ({"zlib": "eJw="}, "red_chroma: zlib: expected 24 rows of 32 bytes, got 0 bytes"),
+    ],
+)
+def test_colour_that_is_damaged(change: dict[str, object], complaint: str) -> None:
+    fields = json.loads(FrameMessage.of(Frame(IMAGE, 0, red_chroma=np.full((24, 32), 9, np.uint8))).to_json())
+    fields["red_chroma"] |= change
+    with pytest.raises(ValueError, match=f"here: {complaint}"):
+        parse_json(json.dumps(fields), FrameMessage, "here")
 
 
 def test_a_frame_without_anything() -> None:

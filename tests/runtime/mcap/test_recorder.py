@@ -156,6 +156,9 @@ def test_frames_come_back_as_they_were(tmp_path: Path) -> None:
     frames.append(dataclasses.replace(deep, image=deep.image.astype(np.uint16) * 257))
     frames.append(dataclasses.replace(full_frame(5), camera=None, motion=None, road=None))
     frames[3] = dataclasses.replace(frames[3], is_damaged=True, is_reported=True)
+    half = (-(-frames[2].height_px // 2), -(-frames[2].width_px // 2))
+    red_chroma = np.random.default_rng(1).integers(0, 256, half).astype(np.uint8)
+    frames[2] = dataclasses.replace(frames[2], red_chroma=red_chroma)
     record(path, frames).close()
     source = Recording(path)
     assert (source.topic, source.num_frames, source.rate_hz) == ("/camera/image", 6, 20.0)
@@ -164,6 +167,7 @@ def test_frames_come_back_as_they_were(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.image, frame.image)
         for name in ("timestamp_ns", "frame", "sequence", "is_damaged", "is_reported"):
             assert getattr(found, name) == getattr(frame, name)
+        np.testing.assert_array_equal(found.red_chroma, frame.red_chroma)
         assert (found.camera is None) == (frame.camera is None)
         assert (found.motion and found.motion.speed_mps) == (frame.motion and frame.motion.speed_mps)
         assert (found.road is None) == (frame.road is None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import zlib
+from base64 import b64decode, b64encode
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, TypeAlias
@@ -10,6 +12,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import ConfigDict, Field
 
+from foreglow.datasets.images import MAX_SIDE_PX, Chroma
 from foreglow.datasets.json_files import Record, StoredAs, adapter
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import EgoMotion, Frame, Image, RoadAhead
@@ -92,6 +95,28 @@ def _road(stored: _StoredRoad) -> RoadAhead:
     return RoadAhead(points_m, stored.half_width_m, np.array(stored.cross_slopes, np.float64), bound_m)
 
 
+class _StoredChroma(Record):
+    width: Annotated[int, Field(ge=1, le=MAX_SIDE_PX // 2)]
+    height: Annotated[int, Field(ge=1, le=MAX_SIDE_PX // 2)]
+    zlib: str  # the rows, compressed, in base 64
+
+
+def _stored_chroma(chroma: Chroma) -> _StoredChroma:
+    rows = zlib.compress(chroma.tobytes(), level=1)
+    return _StoredChroma(width=chroma.shape[1], height=chroma.shape[0], zlib=b64encode(rows).decode())
+
+
+def _chroma(stored: _StoredChroma) -> Chroma:
+    size = stored.height * stored.width
+    try:
+        values = zlib.decompressobj().decompress(b64decode(stored.zlib, validate=True), max_length=size)
+    except (ValueError, zlib.error) as error:
+        raise ValueError(f"zlib: expected compressed rows in base 64, cannot be read: {error}") from None
+    if len(values) != size:
+        raise ValueError(f"zlib: expected {stored.height} rows of {stored.width} bytes, got {len(values)} bytes")
+    return np.frombuffer(values, np.uint8).reshape(stored.height, stored.width)
+
+
 def _threes(points: Floats) -> tuple[_Three, ...]:
     return tuple((x, y, z) for x, y, z in points.tolist())
 
@@ -110,12 +135,14 @@ class FrameMessage:
     road: Annotated[RoadAhead, StoredAs(_StoredRoad, _road, _stored_road)] | None
     is_damaged: bool = False  # older recordings have neither this
     is_reported: bool | None = None  # nor this
+    red_chroma: Annotated[Chroma, StoredAs(_StoredChroma, _chroma, _stored_chroma)] | None = None  # nor this
 
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
         car = frame.camera, frame.motion, frame.road
-        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, frame.is_damaged, frame.is_reported)
+        source = frame.is_damaged, frame.is_reported, frame.red_chroma
+        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, *source)
 
     def to_json(self) -> bytes:
         """The message as JSON."""
@@ -126,7 +153,7 @@ class FrameMessage:
         """The frame with its image.
 
         Raises:
-            ValueError: If the camera is for images of another size.
+            ValueError: If the camera or the chroma is for images of another size.
         """
         return Frame(
             image,
@@ -139,4 +166,5 @@ class FrameMessage:
             road=self.road,
             is_damaged=self.is_damaged,
             is_reported=self.is_reported,
+            red_chroma=self.red_chroma,
         )
