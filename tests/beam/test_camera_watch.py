@@ -103,6 +103,20 @@ def test_a_driver_that_shows_its_old_buffers_in_turn(drive: list[Image], num_buf
     assert all(GuardFault.FROZEN in found for found in faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize("num_buffers", [1, 2, 3, 8])
+@pytest.mark.parametrize("top", [0.05, 0.5])
+def test_images_that_arrive_in_part(drive: list[Image], num_buffers: int, top: float) -> None:
+    """A decoder fills the upper part of one of its old buffers."""
+    good = with_noise(drive[: NUM_GOOD + 1])
+    later = with_noise(drive[NUM_GOOD + 1 : NUM_GOOD + 9])
+    for index, image in enumerate(later):
+        first = round(top * image.shape[0])
+        image[first:] = good[len(good) - num_buffers + index % num_buffers][first:]
+    faults = faults_of([*good, *later])
+    assert not any(faults[: len(good)])
+    assert all(faults[len(good) + 1 :])
+
+
 def test_rows_repeated_from_the_second_on(drive: list[Image]) -> None:
     good, later = drive[:NUM_GOOD], [image.copy() for image in drive[NUM_GOOD:]]
     for image in later:

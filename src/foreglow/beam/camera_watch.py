@@ -22,7 +22,7 @@ BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
 
 SUM_ROWS = 16
-"""One row of so many goes into the checksum by which an image is known again."""
+"""One row of so many has a checksum by which it is known again."""
 
 NEAR_TOP = 0.9
 """A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
@@ -72,6 +72,11 @@ PAIR_SHARES = np.array([[0.85], [0.5]])
 """Damage: in two images in a row, both `pair_ratios` of pairs of rows are below these shares of the least recent ones.
 Measured: never both below 1.3 times these when moving; rows that are repeated behind encoders: .04 to .77, 0 to .38."""
 
+KNOWN_ROWS_SHARE, NOISY_KNOWN_ROWS_SHARE = 0.2, 0.02
+"""Damage: in two images in a row, more than this share of the rows are, pixel by pixel, those of a recent image, where
+none of the recent images had more than the second number: each had noise. So it is where a decoder or a driver fills
+only a part of an old buffer. Rows of a single value do not count."""
+
 ONE_VALUE_SHARE = 0.05
 """Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
 
@@ -103,7 +108,7 @@ class CameraWatch:
     def reset(self) -> None:
         """Forgets the images so far."""
         self._brightest = 0
-        self._recent_sums: deque[int] = deque(maxlen=NUM_RECENT)
+        self._recent_rows: deque[NDArray[np.uint32]] = deque(maxlen=NUM_RECENT)
         self._comparer.reset()
         self._stillness.reset()
         self._damage.reset()
@@ -131,14 +136,13 @@ class CameraWatch:
         is_saturated = num_white > self._config.max_saturated * sample.size
         is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
         change = self._comparer.compare(image)
-        checksum = zlib.crc32(image[::SUM_ROWS].tobytes())
-        is_repeated = checksum in self._recent_sums
-        self._recent_sums.append(checksum)
+        known_rows, is_repeated = self._known_rows(image[::SUM_ROWS])
         if self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
-            is_damaged |= self._damage.update(change, one_value, timestamp_ns, is_still=self._stillness.is_still)
+            is_still = self._stillness.is_still
+            is_damaged |= self._damage.update(change, one_value, known_rows, timestamp_ns, is_still=is_still)
         if is_damaged:
             faults.append(GuardFault.DAMAGED)
         if is_saturated:
@@ -146,6 +150,17 @@ class CameraWatch:
         if is_black:
             faults.append(GuardFault.BLACK)
         return faults
+
+    def _known_rows(self, rows: Image) -> tuple[float, bool]:
+        """Share of rows that recent images had, without those of a single value, and whether one image had all."""
+        sums = np.array([zlib.crc32(np.ascontiguousarray(row)) for row in rows], np.uint32)
+        alike = [sums == recent for recent in self._recent_rows if recent.shape == sums.shape]
+        self._recent_rows.append(sums)
+        if not alike:
+            return 0.0, False
+        is_known = np.logical_or.reduce(alike)
+        share = np.count_nonzero(is_known & (rows.min(axis=1) < rows.max(axis=1))) / len(rows)
+        return share, any(each.all() for each in alike)
 
 
 class _Stillness:
@@ -207,18 +222,21 @@ class _Damage:
         self._forget()
         self._damaged_ns: int | None = None
 
-    def update(self, change: ImageChange | None, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
+    def update(
+        self, change: ImageChange | None, one_value: float, known_rows: float, timestamp_ns: int, *, is_still: bool
+    ) -> bool:
         """Whether the image is damaged, or one shortly before it was.
 
         Args:
             change: What differs from the image before.
             one_value: Share of the image with one and the same value.
+            known_rows: Share of the rows that are those of a recent image.
             timestamp_ns: The time of the image.
             is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
         """
         if change is None:
             self._forget()
-        elif self._is_damaged(change, one_value, timestamp_ns, is_still=is_still):
+        elif self._is_damaged(change, one_value, known_rows, timestamp_ns, is_still=is_still):
             self._damaged_ns = timestamp_ns
         return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
 
@@ -230,18 +248,26 @@ class _Damage:
         self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._has_pairs = False
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
+        self._known_rows: deque[float] = deque(maxlen=NUM_RECENT)
+        self._has_known_rows = False
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._latest_shares: NDArray[np.float64] | None = None
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns: int | None = None
 
-    def _is_damaged(self, change: ImageChange, one_value: float, timestamp_ns: int, *, is_still: bool) -> bool:
+    def _is_damaged(
+        self, change: ImageChange, one_value: float, known_rows: float, timestamp_ns: int, *, is_still: bool
+    ) -> bool:
         could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
         is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
         if len(self._repeated) >= 2:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
+        had_known_rows, self._has_known_rows = self._has_known_rows, False
+        if len(self._known_rows) == NUM_RECENT and max(self._known_rows) <= NOISY_KNOWN_ROWS_SHARE:
+            self._has_known_rows = known_rows > KNOWN_ROWS_SHARE and not is_still
+            is_unusual |= had_known_rows and self._has_known_rows
         had_flat_pieces, self._has_flat_pieces = self._has_flat_pieces, False
         if len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE:
             self._has_flat_pieces = change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
@@ -260,6 +286,8 @@ class _Damage:
             self._repeated.append(change.share_repeated)
             self._flat.append(change.share_flat_rows)
             self._one_value.append(one_value)
+            if not self._has_known_rows:
+                self._known_rows.append(known_rows)
             if not self._has_flat_pieces:
                 self._flat_pieces.append(change.share_flat_pieces)
             if not self._has_pairs:

@@ -61,6 +61,8 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     from av.error import FFmpegError
 
     codec = stream.codec_context
+    if codec.name == "mjpeg":
+        codec.options = {**codec.options, "err_detect": "explode"}
     codec.thread_type = "NONE"
     codec.flags |= Flags.copy_opaque  # pictures carry the number of their packet
     checksums = _Ffv1Checksums() if codec.name == "ffv1" else None

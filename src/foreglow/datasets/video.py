@@ -186,8 +186,7 @@ class Video(FileSource):
             stream = streams[0]
             if stream.codec_context is None:
                 raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
-            strict = {"err_detect": "explode"} if stream.codec_context.name == "mjpeg" else {}
-            stream.codec_context.options = _CODEC_OPTIONS | strict
+            stream.codec_context.options = _CODEC_OPTIONS
             yield container, stream
 
 

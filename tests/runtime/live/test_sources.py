@@ -198,6 +198,33 @@ def test_stream_over_a_network() -> None:
     assert times_ns == sorted(set(times_ns))
 
 
+def test_incomplete_images_of_a_stream_of_jpegs() -> None:
+    """As cameras send them over HTTP; of some images, the end is missing."""
+    images = [cv2.imencode(".jpg", night_image(number))[1].tobytes() for number in range(8)]
+    images[4:6] = [data[: len(data) // 2] for data in images[4:6]]
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        connection, _ = server.accept()
+        with connection, contextlib.suppress(OSError):
+            connection.recv(4096)
+            connection.sendall(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=b\r\n\r\n")
+            for data in images:
+                connection.sendall(b"--b\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(data))
+                connection.sendall(data + b"\r\n")
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    camera = open_live(f"http://127.0.0.1:{server.getsockname()[1]}/", CameraOptions())
+    frames = list(itertools.islice(camera, 7))
+    thread.join()
+    server.close()
+    is_black = [not frame.image[-20:].any() for frame in frames]  # below, where nothing came
+    assert sum(is_black) == 2
+    assert all(frame.is_damaged for frame, black in zip(frames, is_black, strict=True) if black)
+    assert [frame.is_damaged for frame in frames].count(True) <= 3  # the next one is not trusted yet
+
+
 def test_stream_that_is_not_there() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
