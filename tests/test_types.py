@@ -328,3 +328,8 @@ def test_values_can_be_copied(copied: Callable[[Any], Any]) -> None:
     assert again.ranges.detections is again.detections
     with pytest.raises(TypeError):
         again.stage_ms["beam"] = 1.0
+
+
+def test_a_frame_refuses_the_path_of_a_calibration() -> None:
+    with pytest.raises(ValueError, match=r"Frame\.camera: expected a Camera, such as of .*, got str"):
+        Frame(np.zeros((4, 4), np.uint8), 0, camera="camera.toml")  # type: ignore[arg-type]

@@ -66,7 +66,7 @@ def test_a_table_never_lies_over_the_run(tmp_path: Path) -> None:
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     for write in (read_run(folder).write_coco, read_run(folder).write_parquet):
         for name in ("frames.jsonl", "../run/summary.json"):
-            with pytest.raises(ValueError, match="expected a file that does not overwrite a part of the run"):
+            with pytest.raises(ValueError, match=r"expected a file that does not overwrite a part of .*run$"):
                 write(folder / name)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
@@ -175,3 +175,26 @@ def test_a_source_that_is_no_path(source: str, tmp_path: Path, monkeypatch: pyte
     Path("summary.json").write_text(json.dumps(summary | {"source": source}))
     with pytest.raises(FileNotFoundError, match=r"^summary\.json: source: expected the run's frames"):
         source_of_run(Path())
+
+
+def test_a_table_never_lies_over_what_the_run_was_made_from(tmp_path: Path) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    (images / "1.jpg").write_bytes(b"an image")
+    (images / "labels.json").write_text("[]")
+    (tmp_path / "notes.txt").write_text("notes")
+    folder = write_run(tmp_path / "run", [made_up(1, "A")])
+    summary = folder / "summary.json"
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"source": str(images)}))
+    run = read_run(folder)
+    assert run.summary.source == str(images)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for write in (run.write_coco, run.write_parquet):
+        for name in ("1.jpg", "labels.json"):
+            with pytest.raises(ValueError, match="does not overwrite a part of the source of the run"):
+                write(images / name)
+        with pytest.raises(
+            ValueError, match=r"notes\.txt: expected a new file, or an earlier one whose name ends with"
+        ):
+            write(tmp_path / "notes.txt")
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

@@ -153,7 +153,7 @@ class CameraWatch:
 
     def _known_rows(self, rows: Image) -> tuple[float, bool]:
         """Share of rows that recent images had, without those of a single value, and whether one image had all."""
-        sums = np.array([zlib.crc32(np.ascontiguousarray(row)) for row in rows], np.uint32)
+        sums = np.array([zlib.crc32(row.tobytes()) for row in rows], np.uint32)
         alike = [sums == recent for recent in self._recent_rows if recent.shape == sums.shape]
         self._recent_rows.append(sums)
         if not alike:

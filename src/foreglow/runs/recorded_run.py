@@ -17,7 +17,7 @@ import numpy as np
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.datasets.pvdn import is_pvdn
-from foreglow.outputs import RESULT_NAMES, exists
+from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
 from foreglow.runs.json_lines import read_lines
 from foreglow.runs.origin import digests_of, origin_digest
@@ -140,10 +140,10 @@ class RecordedRun:
 
         Raises:
             ModuleNotFoundError: If pyarrow is not installed (extra `parquet`).
-            ValueError: If there is no such table, or the file is one of the run's own.
+            ValueError: If there is no such table, or the file is a part of the run or its source, or of another kind.
             OSError: If the file cannot be written.
         """
-        self._check_output(Path(path))
+        self._check_output(Path(path), ".parquet")
         try:
             import pyarrow as pa
             import pyarrow.parquet as pq
@@ -158,10 +158,10 @@ class RecordedRun:
         """Writes all scored boxes in the form of COCO's results; an image's id is its frame.
 
         Raises:
-            ValueError: If the file is one of the run's own.
+            ValueError: If the file is a part of the run or its source, or of another kind.
             OSError: If the file cannot be written.
         """
-        self._check_output(Path(path))
+        self._check_output(Path(path), ".json")
         entries = [
             {"image_id": result.frame, "category_id": COCO_LIGHT, "bbox": [x1, y1, x2 - x1, y2 - y1], "score": score}
             for results in self.sequences.values()
@@ -173,9 +173,11 @@ class RecordedRun:
         ]
         write_atomic(Path(path), (json.dumps(entries) + "\n").encode())
 
-    def _check_output(self, path: Path) -> None:
-        if path.name in RESULT_NAMES and path.parent.resolve() == self.folder.resolve():
-            raise ValueError(f"{path}: expected a file that does not overwrite a part of the run")
+    def _check_output(self, path: Path, suffix: str) -> None:
+        """ValueError if the file is a part of the run or of its source, or one of another kind."""
+        sources = {"the source of the run": Path(self.summary.source)}
+        check_outputs(sources, {"path": path}, {})
+        check_kinds({"path": path}, {"path": (suffix,)})
 
 
 def read_run(folder: Path | str) -> RecordedRun:

@@ -168,6 +168,11 @@ class Frame(Value):
             )
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
+        if not isinstance(self.camera, Camera | None):
+            raise ValueError(
+                f"{origin}Frame.camera: expected a Camera, such as of foreglow.calibration.read_calibration(path), "
+                f"got {type(self.camera).__name__}"
+            )
         if self.camera is not None and (self.camera.height_px, self.camera.width_px) != self.image.shape:
             raise ValueError(
                 f"{origin}Frame.camera: expected a calibration for images of {self.image.shape[1]}x"
