@@ -229,6 +229,9 @@ def test_exactly_one_detector_is_needed(split: Path, predictions: Path, tmp_path
     assert "expected --predictions or --preset" in line
     line = complaint("evaluate", split, "--predictions", predictions, "--robustness")
     assert "expected --model with --robustness" in line
+    line = complaint("evaluate", split, "--predictions", predictions, "--jobs", 2)
+    assert "expected --jobs and --cluster with a model" in line
+    assert "expected --robustness with --seed" in complaint("evaluate", split, "--seed", 3)
 
 
 def test_a_missing_model_is_one_line(tmp_path: Path, split: Path) -> None:

@@ -29,8 +29,8 @@ _Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
 Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
 Side: TypeAlias = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE_PX)]
 _Turn: TypeAlias = Annotated[float, Field(ge=-45, le=45)]
-"""Yaw or pitch: beyond it a camera no longer looks along the road ahead, of which all ranges are."""
-_Roll: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
+"""Yaw, pitch or roll: beyond it a camera no longer looks along the road ahead, of which all ranges are, or what is to
+the right of something is no longer to the right in its image."""
 _Sigma: TypeAlias = Annotated[float, Field(ge=0, le=90)]
 
 _Position: TypeAlias = Annotated[
@@ -66,7 +66,7 @@ class Mount(FrozenModel):
     position_m: _Position
     yaw_deg: _Turn
     pitch_deg: _Turn
-    roll_deg: _Roll
+    roll_deg: _Turn
     yaw_sigma_deg: _Sigma = 0.0
     pitch_sigma_deg: _Sigma = 0.0
     roll_sigma_deg: _Sigma = 0.0

@@ -55,11 +55,15 @@ def evaluate(
     robustness: Annotated[
         bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")
     ] = False,
-    seed: Annotated[int, option("N", "Seed of the disturbances.", min=0)] = 0,
+    seed: Annotated[int | None, option("N", "Seed of the disturbances (default: 0).", min=0)] = None,
 ) -> None:
     """Compare the boxes of a model, or of --predictions, with the key points of a split."""
     if robustness and predictions is not None:
         raise ValueError("evaluate: expected --model with --robustness, which runs on disturbed images")
+    if seed is not None and not robustness:
+        raise ValueError("evaluate: expected --robustness with --seed, which is that of its disturbances")
+    if work.is_parallel and predictions is not None:
+        raise ValueError("evaluate: expected --jobs and --cluster with a model, predictions need no work")
 
     import rich
 
@@ -78,7 +82,7 @@ def evaluate(
     if predictions is not None:
         examination = _examined_file(split, predictions, run_threshold(predictions) if threshold is None else threshold)
     else:
-        examination = _examined_model(split, configuration, out, seed if robustness else None, workers)
+        examination = _examined_model(split, configuration, out, (seed or 0) if robustness else None, workers)
     typer.echo(COMPARED)
     rich.print(_table(examination.quality, found_name(split)))
     typer.echo("\n".join(examination_lines(examination)))
@@ -94,7 +98,7 @@ def evaluate(
             paths = {"split": split, "predictions": predictions, "model": pipeline.model}
             options = paths | {"preset": pipeline.preset, "config": pipeline.config}
             given = {name: None if value is None else str(value) for name, value in options.items()}
-            page = write_report(examination, out, given | {"seed": seed})
+            page = write_report(examination, out, given | {"seed": seed or 0})
     if out is not None:
         typer.echo(f"look in {page}")
 

@@ -23,7 +23,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
-from foreglow.outputs import TRAINING, TUNING, check_own, locked
+from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own, locked
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -116,6 +116,8 @@ def tune(
 
     require_matplotlib()
     check_own(out, TUNING)
+    if storage is not None and "://" not in storage:
+        check_outputs({"DATA": data}, {"--storage": Path(storage)}, {})
     settings = TuningSettings(
         num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, storage=storage
     )

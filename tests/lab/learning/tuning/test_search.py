@@ -198,6 +198,33 @@ def test_machines_share_a_database(data: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*/study.journal"))
 
 
+@pytest.mark.parametrize("content", [b"my only notes\n", b'{"sequences": []}\n', b"{"])
+def test_a_file_that_is_no_journal_stays_as_it_is(tmp_path: Path, content: bytes) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_bytes(content)
+    with pytest.raises(ValueError, match=r"notes\.txt: expected a new file, or the journal of a search"):
+        open_study(StudyPlan(str(notes), "name", TuningSettings()))
+    assert notes.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [notes]
+
+
+def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:
+    labels = next(path for path in data.rglob("sequences.json") if "val" in path.parts)
+    before = labels.read_bytes()
+    result = foreglow_command("tune", data, "--trials", 2, "--out", tmp_path / "out", "--storage", labels)
+    assert result.exit_code == 2
+    assert f"--storage {labels}: expected a file that does not overwrite a part of DATA" in result.stderr
+    assert labels.read_bytes() == before
+
+
+def test_decoded_images_that_were_cut_are_decoded_again(data: Path, tmp_path: Path) -> None:
+    first = searched(data, tmp_path / "out", 2, num_images=4)
+    for path in (tmp_path / "out/frames").iterdir():
+        path.write_bytes(path.read_bytes()[:10])
+    again = searched(data, tmp_path / "out", 3, num_images=4)
+    assert drawn(again.trials)[:2] == drawn(first.trials)
+
+
 def test_other_data_or_objective_is_another_study(data: Path, tmp_path: Path) -> None:
     names = {
         searched(data, tmp_path, 1, num_images=num_images, objective=objective).study_name

@@ -74,8 +74,8 @@ def stack_frames(
         files.update(f"{path.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\0".encode(errors="surrogateescape"))
     pixels = folder / f"{files.hexdigest()[:16]}.bin"
     index = pixels.with_suffix(".json")
-    if index.exists() and pixels.exists():
-        return _stack(pixels, json.loads(index.read_text()))
+    if (decoded := _decoded(pixels, index)) is not None:
+        return decoded
     entries: list[tuple[int, int, str]] = []
     with open_atomic(pixels) as file, ThreadPoolExecutor(jobs) as pool:
         for done, image in enumerate(pool.map(lambda image_id: dataset.read(image_id).image, image_ids), start=1):
@@ -85,6 +85,19 @@ def stack_frames(
                 progress("frames decoded", done, len(image_ids))
     write_atomic(index, json.dumps(entries).encode())
     return _stack(pixels, entries)
+
+
+def _decoded(pixels: Path, index: Path) -> FrameStack | None:
+    """The images that were decoded before; None if there are none, or a file was cut since."""
+    try:
+        stack = _stack(pixels, json.loads(index.read_text()))
+        size = sum(
+            rows * columns * np.dtype(name).itemsize
+            for (rows, columns), name in zip(stack.shapes, stack.dtypes, strict=True)
+        )
+    except (FileNotFoundError, ValueError, TypeError):
+        return None
+    return stack if pixels.is_file() and pixels.stat().st_size == size else None
 
 
 def _stack(pixels: Path, entries: Sequence[tuple[int, int, str]]) -> FrameStack:

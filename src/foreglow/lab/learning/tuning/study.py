@@ -30,6 +30,9 @@ IMPORTANCE_TRIALS = 20
 """Smallest number of finished trials for which importances are meaningful."""
 
 
+_JOURNAL = b'{"op_code":'
+"""With this each line of a journal begins."""
+
 _SEED = "seed"
 """Where a study keeps its seed: its first trials do not tell it."""
 
@@ -114,15 +117,35 @@ def open_study(plan: StudyPlan) -> optuna.Study:
             direction="minimize",
             load_if_exists=True,
         )
-    except (ModuleNotFoundError, OSError):
+    except (ModuleNotFoundError, OSError, NoJournalError):
         raise
     except Exception as error:  # errors of SQLAlchemy, which need not be installed
         raise ValueError(f"storage: {plan.storage}: {error}") from error
 
 
+class NoJournalError(ValueError):
+    """A file that is to be continued as a journal is something else."""
+
+
+def check_journal(path: Path) -> None:
+    """Checks that a journal can be begun or continued at `path`: Optuna appends to whatever is there.
+
+    Raises:
+        NoJournalError: If there is something else.
+    """
+    if not path.exists():
+        return
+    if not path.is_file():
+        raise NoJournalError(f"{path}: expected a file for a search's journal, got something else")
+    with path.open("rb") as file:
+        if file.read(len(_JOURNAL)) not in (b"", _JOURNAL):
+            raise NoJournalError(f"{path}: expected a new file, or the journal of a search, which begins with its line")
+
+
 def _storage(storage: str) -> BaseStorage | str:
     if "://" in storage:
         return storage
+    check_journal(Path(storage))
     from optuna.storages import JournalStorage
     from optuna.storages.journal import JournalFileBackend, JournalFileSymlinkLock
 
@@ -133,7 +156,7 @@ def _storage(storage: str) -> BaseStorage | str:
     lock.acquire()
     try:  # a line that a killed process left unfinished: what follows would become part of it
         data = path.read_bytes()
-        if data.startswith(b'{"op_code":'):
+        if data.startswith(_JOURNAL):
             os.truncate(path, data.rfind(b"\n") + 1)
     finally:
         lock.release()
