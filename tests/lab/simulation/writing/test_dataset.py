@@ -167,6 +167,13 @@ def test_leftovers_of_a_killed_run_vanish(whole: Path, tmp_path: Path) -> None:
     assert digest(tmp_path / "DATA") == digest(whole)
 
 
+def test_a_drive_that_lost_an_image_is_made_again(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "DATA")
+    next((tmp_path / "DATA/night/train/images/S00002").glob("*.png")).unlink()
+    assert simulate_dataset(tmp_path / "DATA", SCENES, drive).num_kept == 1
+    assert digest(tmp_path / "DATA") == digest(whole)
+
+
 def test_processes_change_nothing_and_an_error_in_one_keeps_the_others_scene(whole: Path, tmp_path: Path) -> None:
     reported: list[tuple[int, int, int]] = []
     failing = functools.partial(drive, fail_at=(1, 1))

@@ -294,7 +294,7 @@ def _info(files: list[SceneFile], config: DatasetConfig) -> InfoFile:
 
 
 def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
-    """Numbers of the finished scenes; checks that the folder may be written to at all."""
+    """Numbers of the finished scenes whose images are there; checks that the folder may be written to at all."""
     if not has_truth(root):
         for name in ("images", "labels"):
             if any(found.is_file() for found in (root / name).rglob("*")):
@@ -310,7 +310,12 @@ def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
             raise ValueError(
                 f"{folder / 'scene.json'}: {field}; choose another folder, or remove {folder} to make it anew"
             )
-    return frozenset(number for number in finished if (root / "images" / sequence_name(number)).is_dir())
+    return frozenset(number for number in finished if _num_images(root, number) >= files[number - 1].scene.num_frames)
+
+
+def _num_images(root: Path, sequence: int) -> int:
+    """Number of images that are there of a sequence."""
+    return sum(1 for _ in (root / "images" / sequence_name(sequence)).glob("*.png"))
 
 
 _NOTHING = object()
