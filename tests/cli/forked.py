@@ -17,9 +17,11 @@ LOADED = (
 )
 
 PROGRAM = f"""
-import json, os, sys, time
+import gc, json, os, sys, time
 from foreglow.cli import main
 import {LOADED}
+
+gc.freeze()  # what is loaded here would be searched for garbage when each fork ends
 
 
 def waited(pid):
