@@ -27,7 +27,7 @@ from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_dbc, read_
 from foreglow.lab.simulation.scenes.scene import read_scene
 from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.maps import read_poses, read_road_map
-from foreglow.parallel import workers_at
+from foreglow.parallel import cluster, workers_at
 from foreglow.photometry import read_headlamps, read_lamp_file
 from foreglow.runs.frames_file import read_tracks
 from foreglow.runs.predictions import read_predictions
@@ -103,4 +103,5 @@ def bounded(reader: str, path: Path) -> tuple[str, str]:
 
 
 if __name__ == "__main__":
+    cluster.CONNECT_S = 0.5  # what never answers needs no longer
     json.dump([bounded(reader, Path(path)) for reader, path in json.load(sys.stdin)], sys.stdout)

@@ -29,9 +29,14 @@ NOT_QUICK = {*EXTRAS, "process", "slow"}
 NO_TEST_IS_QUICK = re.compile(rf"^pytestmark = \[?\s*pytest\.mark\.({'|'.join(NOT_QUICK)})\b", re.MULTILINE)
 """In the text of a file all of whose tests `--quick` leaves out."""
 
-
-TOGETHER = {"ros": "pytest.mark.ros", "dask": "cluster: DaskCluster"}
-"""Files that stay in one process, by words in their text: the process that hands out the tests knows no markers."""
+TOGETHER = {
+    "ros": "pytest.mark.ros",
+    "dask": "cluster: DaskCluster",
+    "torch": "pytest.mark.torch",
+    "renderer": "pytest.mark.renderer",
+}
+"""Files that stay in one process, by words in their text: the process that hands out the tests knows no markers. They
+are handed out in this order: while those with ROS 2 wait for one another, others learn and render."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -99,6 +104,15 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(pixel))
 
 
+@pytest.fixture
+def few_rules(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of other rows than those of the rules of confirmation: each rule has every fourth of its settings."""
+    from foreglow.lab.studies.time_benefit import run
+
+    few = {rule: dict(list(settings.items())[::4]) for rule, settings in run.RULES.items()}
+    monkeypatch.setattr(run, "RULES", few)
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     markers = markers_of(item)
     for marker in EXTRAS.keys() & markers:
@@ -158,12 +172,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if hasattr(config, "workerinput"):  # one of several processes of pytest-xdist: what takes long comes first
         groups = {item: group_of(item.path) for item in items}
         long = {group for item, group in groups.items() if NOT_QUICK & markers_of(item)}
-        items.sort(key=lambda item: (groups[item] != "ros", groups[item] != "dask", groups[item] not in long))
+        turns = {group: turn for turn, group in enumerate(TOGETHER)}
+        items.sort(key=lambda item: (turns.get(groups[item], len(turns)), groups[item] not in long))
 
 
 @functools.cache
 def group_of(file: Path) -> str:
-    """What stays in one process: a file; all files with ROS 2, as they meet on one network; or with a dask cluster."""
+    """What stays in one process: a file; or all with ROS 2, as they meet on one network, or with the same cluster, or
+    with torch or the renderer, which take seconds to load."""
     text = file.read_text(encoding="utf-8")
     return next((name for name, words in TOGETHER.items() if words in text), str(file))
 

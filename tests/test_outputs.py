@@ -308,6 +308,7 @@ def test_a_folder_that_nobody_named_overwrites_no_input(image: Path, tmp_path: P
     assert config.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_file_of_another_kind_is_not_overwritten(image: Path, drive: Path, tmp_path: Path) -> None:
     """It need not be an input: the image beside labels, or anything else of the user's."""
     before, run = image.read_bytes(), tmp_path / "run"

@@ -44,6 +44,7 @@ def test_same_results_twice_and_in_any_company() -> None:
     assert any(boxes for _, _, boxes, *_ in first)
 
 
+@pytest.mark.slow
 def test_frame_by_frame_is_as_a_run() -> None:
     """Also where another sequence begins, of which nobody told the pipeline, and whose times go on."""
     drive = shipped_frames(0, 40)

@@ -108,18 +108,22 @@ class Stages:
     @cached_property
     def estimator(self) -> RangeEstimator | None:
         """The third stage."""
+        config = self.config.distance
+        if config.estimator == "none":
+            return None
         from foreglow.distance import make_estimator
 
-        config = self.config.distance
-        return built(self._plugins[0], make_estimator, config) if config.estimator != "none" else None
+        return built(self._plugins[0], make_estimator, config)
 
     @cached_property
     def tracker(self) -> Tracker | None:
         """The fourth stage."""
+        config = self.config.tracker
+        if config.method == "none":
+            return None
         from foreglow.tracking import make_tracker
 
-        config = self.config.tracker
-        return built(self._plugins[1], make_tracker, config) if config.method != "none" else None
+        return built(self._plugins[1], make_tracker, config)
 
     @cached_property
     def beam(self) -> BeamStage | None:

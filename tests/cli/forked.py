@@ -13,13 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 LOADED = (
-    "foreglow.beam, foreglow.cli.live, foreglow.cli.run, foreglow.runtime.live, foreglow.tracking, scipy.interpolate"
+    "foreglow.cli.live, foreglow.cli.run, foreglow.distance, foreglow.proposals, foreglow.runtime.live, "
+    "foreglow.tracking, rich.progress, scipy.interpolate"
 )
 
 PROGRAM = f"""
-import json, os, sys, time
+import gc, json, os, sys, time
 from foreglow.cli import main
+from foreglow.beam import BeamStage
+from foreglow.config import preset
 import {LOADED}
+
+config = preset("foreglow").commanding()
+BeamStage(config.beam, config.guard, None, config.lit_street)  # what it computes of the headlamps is kept
+gc.freeze()  # what is loaded here would be searched for garbage when each fork ends
 
 
 def waited(pid):

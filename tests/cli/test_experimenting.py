@@ -83,7 +83,7 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     assert "expected the split" in complaint(*experiment, "--split", "all")
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "few_rules")
 def test_time_benefit(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     out = tmp_path / "out"
@@ -94,7 +94,7 @@ def test_time_benefit(tmp_path: Path) -> None:
     assert "Single frame before a human, mean: 0.5 s; here" in result.stdout
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "few_rules")
 def test_time_benefit_of_two_splits(tmp_path: Path) -> None:
     """The second split is a copy of the first; a folder that is a split counts once, whatever its name."""
     pytest.importorskip("matplotlib")

@@ -291,6 +291,7 @@ def test_images_without_points_and_doubtful_light_are_counted(tmp_path: Path) ->
         assert f", {lights}{f', {doubtful} doubtful' if doubtful else ''}\n" in result.stdout
 
 
+@pytest.mark.slow
 def test_a_guess_for_images_of_another_source(run: Path, tmp_path: Path) -> None:
     """Frames of the same number, size and times: nothing but the images themselves tells them apart."""
     moved, other = (Path(shutil.copytree(shipped_drive(), tmp_path / name)) for name in ("moved", "other"))

@@ -75,7 +75,7 @@ def test_results_are_those_of_beam(tmp_path: Path) -> None:
 @pytest.mark.parametrize("interrupt", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted(tmp_path: Path, program: Loaded, interrupt: signal.Signals) -> None:
     out = tmp_path / "out"
-    process = program.start("live", shipped_drive(), "--speed", "0.2", "--out", out)
+    process = program.start("live", shipped_drive(), "--speed", "0.5", "--out", out)
     partial = out / "frames.jsonl.partial"
     deadline_s = time.monotonic() + 60
     while not (partial.exists() and partial.stat().st_size):
@@ -124,7 +124,7 @@ def test_without_a_camera_it_says_why_and_gives_up(tmp_path: Path) -> None:
 
 def test_killed_process_leaves_no_half_written_result(tmp_path: Path, program: Loaded) -> None:
     out = tmp_path / "out"
-    process = program.start("live", shipped_drive(), "--speed", "0.2", "--out", out)
+    process = program.start("live", shipped_drive(), "--speed", "0.5", "--out", out)
     partial = out / "frames.jsonl.partial"
     deadline_s = time.monotonic() + 60
     while not (partial.exists() and partial.stat().st_size):
@@ -238,7 +238,7 @@ def test_recording_of_a_process_that_is_ended(tmp_path: Path, program: Loaded, h
     pytest.importorskip("foxglove")
     recording = tmp_path / "drive.mcap"
     partial = tmp_path / "drive.mcap.partial"
-    process = program.start("live", shipped_drive(), "--speed", "0.3", "--record", recording)
+    process = program.start("live", shipped_drive(), "--speed", "0.5", "--record", recording)
     deadline_s = time.monotonic() + 60
     while not (partial.exists() and partial.stat().st_size > 6_000_000):  # more than the first chunk, of 4 MB
         assert time.monotonic() < deadline_s

@@ -52,7 +52,9 @@ def ended(code: str, number: signal.Signals, *arguments: object) -> tuple[int, s
 
 
 FORKED = """
-import json
+import gc, json
+
+gc.freeze()  # what is loaded here would be searched for garbage when each fork ends
 
 
 def is_child(number):
@@ -286,10 +288,17 @@ whole_files.open_atomic = waiting
 """
 
 
+UNDRAWN = """
+import matplotlib.figure
+
+matplotlib.figure.Figure.savefig = lambda _, file, **__: file.write(b"no picture")
+"""
+
+
 def test_a_report_is_not_left_half_written(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     run = Path(__file__).parents[1] / "runs" / "run_of_0_1_0"
-    code = f"NAME = {path.name!r}\n{HALF_WRITTEN}"
+    code = f"NAME = {path.name!r}\n{UNDRAWN}\n{HALF_WRITTEN}"
     found = endings(
         code, "foreglow.lab.reports.run_page, matplotlib.backends.backend_agg", "report", run, "--out", path
     )

@@ -144,7 +144,7 @@ def test_the_same_damage_is_found_each_time(tmp_path: Path, on_error: OnError) -
     data[position + size + 16 : -1] = 0
     path.write_bytes(data.tobytes())
     found = set()
-    for _ in range(30):
+    for _ in range(12):
         video = Video(path, on_error=on_error)
         found.add((tuple((frame.frame, frame.is_damaged) for frame in video), tuple(video.skipped)))
     assert len(found) == 1

@@ -131,7 +131,7 @@ from tests.stand_ins import result_of
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python does itself
 path, hard = Path(sys.argv[1]), resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 noise = np.random.default_rng(0).integers(0, 255, (8, 64, 96), np.uint8)
-for limit in [*range(0, 20_000, 300), *range(20_000, 200_000, 20_000), 5_000_000]:
+for limit in [*range(0, 3_000, 300), *range(3_000, 20_000, 1_700), *range(20_000, 200_000, 40_000), 5_000_000]:
     sink = VideoSink(path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:

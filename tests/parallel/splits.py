@@ -32,4 +32,4 @@ class SlowSplit(PVDN):
     def __iter__(self) -> Iterator[Frame]:
         for frame in super().__iter__():
             yield frame
-            time.sleep(0.4)
+            time.sleep(0.2)

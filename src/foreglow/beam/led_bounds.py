@@ -144,5 +144,8 @@ def _greatest_of_four(table: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _halved(table: NDArray[np.float32]) -> NDArray[np.float32]:
     """Equation (2): the maxima of 2 x 2 cells along the first two axes; at the end there may be fewer."""
-    rows = np.maximum.reduceat(table, np.arange(0, table.shape[0], 2), axis=0)
-    return np.maximum.reduceat(rows, np.arange(0, table.shape[1], 2), axis=1)
+    rows = table[::2].copy()
+    np.maximum(rows[: table.shape[0] // 2], table[1::2], out=rows[: table.shape[0] // 2])
+    cells = rows[:, ::2].copy()
+    np.maximum(cells[:, : table.shape[1] // 2], rows[:, 1::2], out=cells[:, : table.shape[1] // 2])
+    return cells

@@ -232,7 +232,7 @@ def test_a_process_that_was_stopped_blames_no_stage() -> None:
     """As a machine that was asleep: low beam, but the pipeline that is asked to go on at once need not be replaced."""
     process = subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True)
     os.waitpid(process.pid, os.WUNTRACED)
-    time.sleep(4.0)
+    time.sleep(2.5)  # longer than a stage may take until it is abandoned
     process.send_signal(signal.SIGCONT)
     counts = json.loads(process.communicate(timeout=120)[0])
     assert LiveFault.STAGE_HANGS in counts

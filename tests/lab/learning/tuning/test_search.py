@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 import itertools
 import json
+import os
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,6 +26,15 @@ from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]  # Optuna comes with the same extra
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _journals_need_not_outlive_a_power_cut() -> Iterator[None]:
+    """Optuna waits for the disk after each line of its journal."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(os, "fsync", lambda _: None)
+        yield
+
 
 NUM_ALL = NUM_SEQUENCES * NUM_IMAGES
 SEED = 3

@@ -66,6 +66,7 @@ def test_our_tracker_is_the_one_that_the_pipeline_runs(results: TimeBenefitResul
     assert 0.03 < false.km < 0.2
 
 
+@pytest.mark.usefixtures("few_rules")
 def test_splits_are_pooled(results: TimeBenefitResults, tmp_path: Path) -> None:
     """The drive and a second split, PVDN's layout alone; what either has alone stays as it is."""
     other = PVDN(make_pvdn(tmp_path))
@@ -172,6 +173,7 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_rules")
 def test_a_tracker_of_ones_own_has_a_row() -> None:
     own = TrackerConfig(min_hits=2)
     config = preset("foreglow").model_copy(update={"tracker": own})
@@ -182,7 +184,7 @@ def test_a_tracker_of_ones_own_has_a_row() -> None:
     assert two_frames.num_plausible > five_frames.num_plausible
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "few_rules")
 def test_the_papers_whole_chain_has_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its model accepts every proposal; all other rows stay as they are without it."""
     pytest.importorskip("onnx")
