@@ -96,9 +96,12 @@ def test_damage_in_images_of_a_small_camera(small_camera: list[Image], fault: st
 
 
 @pytest.mark.parametrize("num_buffers", [2, 3, 8])
-def test_a_driver_that_shows_its_old_buffers_in_turn(drive: list[Image], num_buffers: int) -> None:
-    good = drive[:NUM_GOOD]
-    faults = faults_of([*good, *(good[-num_buffers:] * 8)[:NUM_WRONG]])
+@pytest.mark.parametrize("is_moving", [True, None])
+def test_a_driver_that_shows_its_old_buffers_in_turn(
+    drive: list[Image], num_buffers: int, is_moving: bool | None
+) -> None:
+    good = with_noise(drive[:NUM_GOOD])
+    faults = faults_of([*good, *(good[-num_buffers:] * 8)[:NUM_WRONG]], is_moving=is_moving)
     assert not any(faults[:NUM_GOOD])
     assert all(GuardFault.FROZEN in found for found in faults[NUM_GOOD + 1 :])
 

@@ -187,7 +187,7 @@ class _Stillness:
         """Whether the camera is frozen, by how the next image has changed, or as it repeats one of the recent images.
 
         A camera that stands still is not called frozen where our vehicle is known to be slow, nor, where its speed is
-        not known, as long as the noise is new.
+        not known, as long as the noise is new: of an image that was there before it is not.
         """
         if change is None or timestamp_ns < self._moved_ns:
             self.reset()
@@ -209,7 +209,7 @@ class _Stillness:
             self._num_released = self._num_released + 1 if change.strongest > STAYS_STILL_LEVELS else 0
         is_long = timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9 * self._max_same
         is_frozen = self._num_still >= self._max_same and is_long
-        return is_frozen and is_moving is not False and (is_moving is True or not is_fresh)
+        return is_frozen and is_moving is not False and (is_moving is True or is_repeated or not is_fresh)
 
 
 class _Damage:
