@@ -374,7 +374,7 @@ def _layers(moment: Moment, index: int, seen: SeenVehicle) -> VehicleLayers:
     """The light of the vehicle at `index`, whose lamps are `seen`."""
     rendered, layer, rear = moment.rendered, seen.actor.layer, moment.rear_layers[index]
     if layer is None:
-        dark = np.zeros_like(rendered.ambient_cd_m2)
+        dark = np.broadcast_to(np.float32(0.0), rendered.ambient_cd_m2.shape)  # takes no memory
         return VehicleLayers(dark, dark, seen.points, None, seen.rear_points)
     return VehicleLayers(
         rendered.surface_cd_m2[layer],
