@@ -38,6 +38,15 @@ def test_low_beam_points(point: tuple[float, float], least_cd: float, most_cd: f
     assert least_cd <= at(low_beam(), *point) <= most_cd
 
 
+@pytest.mark.parametrize("point", [(-9.0, -1.72), (9.0, -1.72)])  # 25L, 25R
+def test_an_old_low_beam_meets_class_a_and_leaves_the_foreground_dark(point: tuple[float, float]) -> None:
+    old = low_beam(0.4)
+    assert at(old, *point) >= 1_250
+    assert at(old, 1.15, -0.57) >= 5_100  # 75R
+    assert at(old, 0.0, -8.0) < 0.25 * at(low_beam(), 0.0, -8.0)
+    assert at(old, 0.0, 1.0) == pytest.approx(at(low_beam(), 0.0, 1.0), rel=1e-3)  # the same above the cut-off
+
+
 def test_low_beam_dazzles_nobody() -> None:
     """Zone III: above the horizon on the left, above the 15 degrees arm, at most 1 degree up, on the right."""
     table = low_beam()

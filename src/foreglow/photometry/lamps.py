@@ -7,7 +7,7 @@ test points come from public notes of the regulations; the tests check the table
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -32,23 +32,32 @@ CUT_OFF_ARM_DEG = 3.8
 CUT_OFF_WIDTH_DEG = 0.12
 """Softness of the cut-off: the intensity falls by a factor e over this angle, as in measured lamps (0.1 to 0.2)."""
 
+FOREGROUND_DEG = 5.0
+"""Depth below the cut-off at which the foreground of lamps with little wide light ends."""
 
-@cache
-def low_beam() -> IntensityTable:
+
+def low_beam(carpet: float = 1.0) -> IntensityTable:
     """The asymmetric European passing beam for right-hand traffic; one lamp, about 1,000 lm.
 
     Below the cut-off a hot spot, right of the kink, and a carpet of light 40 degrees wide; above it about 200 cd of
-    stray light, which falls off slowly to the side.
+    stray light, which falls off slowly to the side. `carpet` is a factor on the wide light; below 1, the foreground
+    is darker, too: with 0.4, an old lamp of UN R112's class A, the road beside us and right before us is dark.
     """
+    return _low_beam(float(carpet))
+
+
+@lru_cache(maxsize=16)
+def _low_beam(carpet: float) -> IntensityTable:
     azimuths, elevations = np.meshgrid(HEADLAMP_AZIMUTHS_DEG, HEADLAMP_ELEVATIONS_DEG)
     right = -azimuths
     cut_off = CUT_OFF_DEG + CUT_OFF_SLOPE * np.clip(right, 0.0, CUT_OFF_ARM_DEG)
     depth = np.clip(CUT_OFF_DEG - elevations, 0.0, None)
     hot_spot_width = np.where(right < 1.5, 3.2, 5.5)  # narrower where the oncoming driver is
     hot_spot = 26_000.0 * np.exp(-0.5 * ((right - 1.5) / hot_spot_width) ** 2 - depth / 1.9)
-    carpet = 7_000.0 * np.exp(-0.5 * (right / 19.0) ** 2 - depth / 5.5)
+    wide = 7_000.0 * carpet * np.exp(-0.5 * (right / 19.0) ** 2 - depth / (5.5 * np.sqrt(carpet)))
+    foreground = np.exp(-(1.0 - carpet) * (depth / FOREGROUND_DEG) ** 2)
     is_below = 1.0 / (1.0 + np.exp(np.clip((elevations - cut_off) / CUT_OFF_WIDTH_DEG, -50.0, 50.0)))
-    return _headlamp((hot_spot + carpet) * is_below + _stray_light(azimuths, elevations))
+    return _headlamp((hot_spot + wide) * foreground * is_below + _stray_light(azimuths, elevations))
 
 
 @cache

@@ -179,7 +179,7 @@ class Moments:
         own = self._own(ego.pose, led_levels)
         fixed = self._lights.lamps_near(view.position_m)
         theirs = [lamp.placed for actor in actors for lamp in actor.lamps]
-        num_layers = FIRST_VEHICLE_LAYER + len(actors)
+        num_layers = FIRST_VEHICLE_LAYER + sum(actor.layer is not None for actor in actors)
         own_layers: tuple[int, ...] = (EGO_LAYER,)
         if self._is_relit:
             own_layers = EGO_LAYER, num_layers
@@ -282,7 +282,7 @@ class Moments:
         own_lamps, depth_m = moment.own_in(variant), rendered.depth_m
         streaks = self._particles.luminance(moment.time_s - half_s, 2 * half_s, (begin, end), own_lamps, depth_m)
         before_from_after = Pose(begin.to_body(end.position_m), begin.rotation.T @ end.rotation)
-        flow_px = self._motion_blur.flow_px(depth_m, before_from_after)
+        flow_px = self._motion_blur.flow_px(_still_depth_m(moment), before_from_after)
         layers = [(rendered.surface_cd_m2[layer], rendered.haze_cd_m2[layer]) for layer in moment.own_layers]
         own = [image for pair in layers for image in pair]
         if moment.own_shares is not None:
@@ -313,6 +313,21 @@ class Moments:
         return ego.pose @ self._camera.vehicle_from_camera
 
 
+def _still_depth_m(moment: Moment) -> Image:
+    """Depths at which what stands still would move through the image as what is seen does.
+
+    A body at our own speed is as if infinitely far away, and one that comes towards us as if nearer.
+    """
+    depth_m, bodies = moment.rendered.depth_m, moment.rendered.bodies
+    ahead, own_mps = moment.ego.pose.rotation[:, 0], moment.ego.speed_mps
+    factors = [1.0]  # of the fixed world
+    for seen in moment.vehicles:
+        state = seen.actor.state
+        along_mps = state.speed_mps * float(state.pose.rotation[:, 0] @ ahead)
+        factors.append(own_mps / max(abs(own_mps - along_mps), 0.01))
+    return depth_m * np.array(factors, np.float32)[bodies + 1]
+
+
 def _body_meshes(scene: Scene) -> dict[str, Mesh]:
     """The bodies that the scene needs, as the renderer calls them."""
     return {mesh_name(spec.kind, spec.is_light): BODIES[spec.kind].painted(spec.is_light) for spec in scene.vehicles}
@@ -325,7 +340,7 @@ def _parts(
     repeated = [replace(lamp, layer=first) for lamp in own_low]
     layers: list[int | None] = []
     for actor in actors:
-        rear = [lamp.placed for lamp in actor.lamps if lamp.is_rear]
+        rear = [] if actor.layer is None else [lamp.placed for lamp in actor.lamps if lamp.is_rear]
         layer = first + 1 + sum(known is not None for known in layers)
         repeated += [replace(lamp, layer=layer) for lamp in rear]
         layers.append(layer if rear else None)
@@ -357,7 +372,10 @@ def _changed(seen: SeenVehicle, variant: Variant) -> SeenVehicle:
 
 def _layers(moment: Moment, index: int, seen: SeenVehicle) -> VehicleLayers:
     """The light of the vehicle at `index`, whose lamps are `seen`."""
-    rendered, layer, rear = moment.rendered, FIRST_VEHICLE_LAYER + index, moment.rear_layers[index]
+    rendered, layer, rear = moment.rendered, seen.actor.layer, moment.rear_layers[index]
+    if layer is None:
+        dark = np.broadcast_to(np.float32(0.0), rendered.ambient_cd_m2.shape)  # takes no memory
+        return VehicleLayers(dark, dark, seen.points, None, seen.rear_points)
     return VehicleLayers(
         rendered.surface_cd_m2[layer],
         rendered.haze_cd_m2[layer],

@@ -101,6 +101,25 @@ def test_temporal_denoising_steadies_what_stands_still_and_keeps_what_changes() 
     assert jumped.mean() == pytest.approx(200.0)
 
 
+def test_images_far_apart_have_the_noise_that_denoising_leaves_and_nothing_of_the_last_one() -> None:
+    def taken(step_s: float, denoise: float) -> ElectronImager:
+        profile = CameraProfile(
+            name="own",
+            lens=LensSpec(vignetting=0.0),
+            imager=ImagerSpec(fixed_pattern=0.0, column_pattern_e=0.0),
+            exposure=ExposureSpec(gain=1.0),
+            tone=ToneSpec(denoise=denoise, noise_level=40.0),
+        )
+        return ElectronImager(profile, Windscreen(profile, SensorSpec(), CAMERA), 5, step_s)
+
+    plain, far_apart = (taken(0.8, denoise).capture(even(3.0), 1) for denoise in (0.0, 0.8))
+    rounding = 1.0 / 12.0
+    assert far_apart.std() == pytest.approx(np.sqrt((plain.var() - rounding) / 9.0 + rounding), rel=0.1)
+    camera_ = taken(0.8, 0.8)
+    camera_.capture(even(2.8), 1)
+    assert np.array_equal(camera_.capture(even(3.0), 2), taken(0.8, 0.8).capture(even(3.0), 2))
+
+
 def test_sharpening_overshoots_at_edges_only() -> None:
     step = np.full((40, 40), 80.0, np.float32)
     step[:, 20:] = 160.0

@@ -106,6 +106,16 @@ def test_a_view_keeps_the_directions_of_its_pixels() -> None:
     np.testing.assert_allclose(view.camera.rays(view.points_px(pixels)), rendered.rays(pixels), atol=1e-9)
 
 
+@pytest.mark.parametrize(("up", "first_row"), [(1.0, 0), (0.5, 20), (0.0, 40)])
+def test_a_view_may_look_up_or_down(up: float, first_row: int) -> None:
+    rendered = camera(160, 120)
+    profile = CameraProfile(name="own", view=ViewSpec(width_px=160, height_px=80, up=up))
+    view = View(profile, rendered)
+    image = np.random.default_rng(1).random((120, 160), np.float32)
+    np.testing.assert_array_equal(view.light(image), image[first_row : first_row + 80])
+    assert view.points_px(np.array([[5.0, 50.0]]))[0].tolist() == [5.0, 50.0 - first_row]
+
+
 def test_a_view_averages_the_light_of_its_pixels() -> None:
     rendered = camera(160, 120)
     view = View(sized(80, 60), rendered)

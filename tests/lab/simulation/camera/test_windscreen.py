@@ -112,6 +112,15 @@ def test_the_bonnet_hides_what_is_behind_it_and_stands_still() -> None:
     assert np.array_equal(optics.static_cd_m2, again.static_cd_m2)
 
 
+def test_the_edge_of_the_bonnet_shines_in_places() -> None:
+    profile = CameraProfile(name="own", car=CarSpec(bonnet_share=0.2, bonnet_cd_m2=0.02))
+    static = Windscreen(profile, SensorSpec(), camera(640, 480)).static_cd_m2
+    assert static is not None
+    brightest = static[320:460].max(axis=0)
+    assert brightest.max() > 0.04
+    assert (brightest < 0.021).mean() > 0.2
+
+
 def test_every_drive_has_its_own_dirt() -> None:
     veil = VeilSpec(share=0.05)
     rough = GhostSpec(strength=0.01, shift_deg=(0.0, 4.0), radius_deg=(1.0, 1.0), roughness=0.3)

@@ -57,6 +57,17 @@ def test_markers_show_a_lorry_on_all_sides_and_light_nothing(lane: str, is_rear:
     np.testing.assert_allclose(out, left, atol=1e-9)
 
 
+def test_far_vehicles_light_nothing_and_take_no_layer() -> None:
+    specs = [
+        VehicleSpec(timetable=((0.0, s_m), (10.0, s_m - 50.0)), lights_up_to_m=200.0) for s_m in (100.0, 300.0, 150.0)
+    ]
+    actors = actors_at(tuple(specs), (Road(RoadSpec()), ()), AHEAD, 0.0, 2)
+    assert [actor.layer for actor in actors] == [2, None, 3]
+    assert all(lamp.placed.lights_nothing for lamp in actors[1].lamps)
+    assert {lamp.placed.layer for lamp in actors[2].lamps} == {3}
+    assert actor(beam="off").layer is None
+
+
 def test_candelas_are_those_of_the_regulations() -> None:
     ahead, above = [1.0, 0.0, 0.0], [np.cos(np.radians(3.4)), 0.0, np.sin(np.radians(3.4))]
     assert 60 <= brake_lamp().towards(ahead) <= 185  # UN R7
@@ -90,6 +101,15 @@ def test_our_low_beam_is_mirrored_and_our_leds_stay(beam: EgoBeam) -> None:
         np.testing.assert_allclose(
             lit.intensities_cd - there.intensities_cd, before.intensities_cd - here.intensities_cd, atol=0.01
         )
+
+
+def test_our_old_low_beam_has_less_wide_light() -> None:
+    new, old = (
+        ego_tables(EgoSpec(carpet=carpet), np.zeros((2, read_headlamps().num_leds)), read_headlamps())[0]
+        for carpet in (1.0, 0.4)
+    )
+    assert new is low_beam()
+    assert old is low_beam(0.4)
 
 
 def test_drivers_sit_on_the_other_side_of_cars_for_left_hand_traffic() -> None:

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from foreglow.lab.simulation.scenes.scene import RoadSpec, Scene
-from foreglow.lab.simulation.scenes.surroundings import House, Panel, Settlement, Signal, StreetLamp
+from foreglow.lab.simulation.scenes.surroundings import (
+    Bridge,
+    Gantry,
+    House,
+    Panel,
+    Settlement,
+    Side,
+    Sign,
+    Signal,
+    StreetLamp,
+)
 from foreglow.lab.simulation.world.materials import material_number
 from foreglow.lab.simulation.world.road import has_several_lanes, lane_lines
 from foreglow.lab.simulation.world.world import World, build_world
@@ -48,6 +58,54 @@ def test_a_barrier_stands_on_the_middle_of_the_road() -> None:
     assert heights.max() == pytest.approx(0.9, abs=0.03)
     assert s.min() < 1.0
     assert s.max() > 99.0
+
+
+def test_a_barrier_is_as_high_as_it_says() -> None:
+    world = world_of(MOTORWAY.model_copy(update={"barrier_m": 1.15}))
+    points = points_of(world.mesh, "concrete")
+    s, _ = world.road.places_m(points)
+    assert (points[:, 2] - world.road.elevation_m(s)).max() == pytest.approx(1.15, abs=0.03)
+
+
+def test_edge_lines_have_their_width() -> None:
+    narrow = lane_lines(MOTORWAY.model_copy(update={"edge_line_m": 0.15}))
+    assert [line.width_m for line in narrow] == [0.15, 0.15, 0.15]
+    assert lane_lines(MOTORWAY)[0].width_m == 0.3
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_gantry_spans_its_side_and_faces_its_traffic(side: Side) -> None:
+    gantry = Gantry(side=side, s_m=50.0, height_m=5.5, signs_m=(2.0, 2.5))
+    world = world_of(MOTORWAY, gantries=(gantry,))
+    faces = is_of(world.mesh, "sign_colour")
+    points = points_of(world.mesh, "sign_colour")
+    s, t = world.road.places_m(points)
+    outwards = 1.0 if side == "left" else -1.0
+    assert (outwards * t > 0.3).all()
+    assert (outwards * t < world.road.half_width_m).all()
+    assert np.abs(s - 50.0).max() < 0.1
+    assert points[:, 2].min() - float(world.road.elevation_m(50.0)) == pytest.approx(5.5, abs=0.01)
+    normals = world.mesh.normals[world.mesh.faces[faces].ravel()]
+    assert (normals[:, 0] * (1.0 if side == "left" else -1.0) > 0.9).all()
+    assert is_of(world.mesh, "sign_white").sum() > 20  # words
+
+
+def test_a_bridge_leaves_the_road_free() -> None:
+    world = world_of(MOTORWAY.model_copy(update={"median": "none"}), bridges=(Bridge(s_m=60.0, width_m=8.0),))
+    points = points_of(world.mesh, "concrete")
+    s, t = world.road.places_m(points)
+    heights = points[:, 2] - world.road.elevation_m(s)
+    is_low = heights < 5.0
+    assert np.abs(s - 60.0).max() < 4.2
+    assert (np.abs(t[is_low]) > world.road.half_width_m).sum() > 0
+    inside = is_low & (np.abs(t) < world.road.half_width_m)
+    assert np.abs(t[inside]).max(initial=0.0) < 0.5  # columns in the median
+
+
+def test_guide_signs_have_words_of_different_lengths() -> None:
+    world = world_of(MOTORWAY, signs=(Sign(side="right", s_m=50.0, kind="guide", size_m=3.0),))
+    assert is_of(world.mesh, "sign_white").sum() > 20
+    assert is_of(world.mesh, "sign_colour").any()
 
 
 def test_rails_in_the_middle_face_both_ways_on_grass() -> None:

@@ -150,6 +150,9 @@ LIMITED = np.rint(16 + np.arange(256) * (219 / 255)).astype(np.uint8)
 FULL = np.clip(np.rint((np.arange(256) - 16) * (255 / 219)), 0, 255).astype(np.uint8)
 
 
+REFERENCE_RATE_HZ = 30.0
+"""Frames a second of a camera whose images are not compressed."""
+
 PATTERN_STREAM, NOISE_STREAM = 45, 46
 """Numbers of the random streams."""
 
@@ -200,7 +203,13 @@ class ElectronImager:
         self._electrons_per_cd_m2 = optics.fall_off * np.float32(profile.imager.response_e * self.exposure_s)
         self._uneven = uneven.astype(np.float32)
         self._columns_e = columns
-        self._tone = Tone(profile.tone)
+        # Temporal denoising sees images in between that are not taken here, rather than the last one that is.
+        kept = profile.tone.denoise
+        rate_hz = profile.encoder.rate_hz if profile.encoder else REFERENCE_RATE_HZ
+        missing = min(1.0, max(0.0, (step_s * rate_hz - 1.0) / (FRAMES_PREDICTED - 1.0)))
+        self._tone = Tone(profile.tone.model_copy(update={"denoise": (1.0 - missing) * kept}))
+        # Source: standard deviation of a running mean of noise.
+        self._noise_share = np.float32(1.0 - missing * (1.0 - np.sqrt((1.0 - kept) / (1.0 + kept))))
         self._encoder = Encoder(profile.encoder, *self._shape[::-1], step_s) if profile.encoder else None
 
     def meter(self, luminance: Image, time_s: float) -> None:
@@ -244,7 +253,7 @@ class ElectronImager:
         noise = rng.standard_normal(self._shape, np.float32)
         if self._imager.colour == "bayer":
             noise = np.asarray(cv2.filter2D(noise, -1, DEMOSAICING, borderType=cv2.BORDER_REFLECT), np.float32)
-        noise *= self._noise_e(electrons)
+        noise *= self._noise_e(electrons) * self._noise_share
         electrons *= self._uneven
         electrons += noise
         electrons += self._columns_e

@@ -28,17 +28,19 @@ MAX_SCATTERED = 0.9
 
 
 class ViewSpec(SpecModel):
-    """The part of the rendered field of view that the camera sees, about the middle of the rendering.
+    """The part of the rendered field of view that the camera sees, about the middle of the rendering's columns.
 
     Attributes:
         width_px: Columns of the image; None for those of the rendering.
         height_px: Rows of the image; None for those of the rendering.
         focal_px: Focal length; None sees the rendering's whole width.
+        up: Which rows of the rendering it sees, from 0, the lowest ones, to 1, the highest: a camera that is tilted up.
     """
 
     width_px: Annotated[int, Field(ge=32, le=8192)] | None = None
     height_px: Annotated[int, Field(ge=24, le=8192)] | None = None
     focal_px: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    up: Share = 0.5
 
     @model_validator(mode="after")
     def _check(self) -> ViewSpec:

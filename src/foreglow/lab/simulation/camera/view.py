@@ -50,7 +50,7 @@ class View:
                 f"{rendered.height_px} px at {rendered.focal_px[0]:g} px, got {cut[0]:.0f}x{cut[1]:.0f} px of it"
             )
         self.scale = scale
-        self._corner = ((rendered.width_px - cut[0]) / 2, (rendered.height_px - cut[1]) / 2)
+        self._corner = ((rendered.width_px - cut[0]) / 2, (rendered.height_px - cut[1]) * (1.0 - spec.up))
         self._rendered = rendered
         self._is_whole = (width, height) == (rendered.width_px, rendered.height_px) and abs(scale - 1) < 1e-9
         self.camera = rendered

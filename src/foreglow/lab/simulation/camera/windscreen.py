@@ -37,6 +37,9 @@ COARSE_EDGE = 4.0
 STREAK_LENGTHS = 4.0
 """A streak is drawn up to so many of its lengths."""
 
+GLINT, GLINT_SHARE = 4.0, 0.004
+"""Luminance of the bonnet's edge where it shines, relative to the bonnet, and its width as a share of the rows."""
+
 CAR_STREAM, DIRT_STREAM = 44, 47
 """Numbers of the random streams: the dashboard's reflections, and how dirty the windscreen is in a drive."""
 
@@ -358,6 +361,11 @@ def _own_car(car: CarSpec, name: str, camera: Camera) -> tuple[Image | None, Ima
         sheen = 0.4 + 0.6 * np.exp(-np.maximum(rows - edge, 0.0) / (0.03 * height))
         static += (1.0 - transmission) * np.float32(car.bonnet_cd_m2) * sheen
     rng = np.random.default_rng([CAR_STREAM, zlib.crc32(name.encode())])
+    if car.bonnet_share > 0:
+        waves = rng.uniform(1.0, 6.0, 3) * x[:, np.newaxis] + rng.uniform(0.0, 2 * np.pi, 3)
+        along = np.clip(np.sin(np.pi * waves).sum(1), 0.0, None).astype(np.float32)
+        glint = np.exp(-0.5 * ((rows - edge) / (GLINT_SHARE * height)) ** 2)
+        static += np.float32(car.bonnet_cd_m2 * GLINT) * along * glint
     for number in range(car.num_reflections):
         middle = rng.uniform([0.05, 0.55], [0.95, 1.0]) * (width, height)
         size = rng.uniform([0.02, 0.006], [0.16, 0.04]) * (width, height)

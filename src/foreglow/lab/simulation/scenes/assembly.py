@@ -66,6 +66,7 @@ class Journey:
         speed_mps: Our speed.
         braking: When we slow down; None for never.
         lane_number: Our lane, counted from the median; None for the one at the edge.
+        carpet: The wide light of our low beam, as in `EgoSpec`.
     """
 
     duration_s: float
@@ -73,6 +74,7 @@ class Journey:
     speed_mps: float
     braking: Braking | None = None
     lane_number: int | None = None
+    carpet: float = 1.0
 
     @property
     def timetable(self) -> Profile:
@@ -95,6 +97,7 @@ def assembled(
     ego = EgoSpec(
         timetable=journey.timetable,
         lane_number=journey.lane_number,
+        carpet=journey.carpet,
         brightness=draw.log_uniform(0.5, 1.25),
         yaw_aim_deg=draw.normal(0.0, 0.4),
         pitch_aim_deg=draw.normal(-0.1, 0.3),

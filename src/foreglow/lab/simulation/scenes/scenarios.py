@@ -66,7 +66,18 @@ def _road(road: RoadSpec) -> RoadSpec:
 
 def _surroundings(spec: SurroundingsSpec) -> SurroundingsSpec:
     changed: dict[str, Any] = {"left": spec.right, "right": spec.left}
-    for name in ("rails", "walls", "signs", "woods", "houses", "street_lamps", "panels", "signals", "settlements"):
+    for name in (
+        "rails",
+        "walls",
+        "signs",
+        "woods",
+        "houses",
+        "street_lamps",
+        "panels",
+        "signals",
+        "gantries",
+        "settlements",
+    ):
         changed[name] = tuple(_thing(thing) for thing in getattr(spec, name))
     return spec.model_copy(update=changed)
 
@@ -160,7 +171,8 @@ def _with_settlements(draw_scene: DrawScene) -> DrawScene:
     def draw_both(draw: Draw, name: str, seed: int) -> Scene:
         scene = draw_scene(draw, name, seed)
         settlements, glow_cd_m2 = draw_settlements(Draw(seed, DISTANCE_STREAM), scene.road.length_m)
-        surroundings = scene.surroundings.model_copy(update={"settlements": settlements})
+        known = scene.surroundings.settlements
+        surroundings = scene.surroundings.model_copy(update={"settlements": known + settlements})
         weather = scene.weather.model_copy(update={"glow_cd_m2": glow_cd_m2})
         return scene.model_copy(update={"surroundings": surroundings, "weather": weather})
 

@@ -71,6 +71,7 @@ class RoadSpec(SpecModel):
         num_lanes: Lanes in either direction.
         median: What stands between the directions: nothing, a concrete barrier, or two guardrails on grass.
         median_m: Width of the strip between the directions.
+        barrier_m: Height of the concrete barrier: 0.9 m, or up to 1.2 m, which hides the lamps of cars.
         shoulders_m: Widths of the paved strips on either side of a direction's lanes: at the median, and at the edge.
         traffic: The side to which traffic keeps.
         curvature_per_m: Signed curvature over s, positive to the left; linear in between, so that bends begin and
@@ -79,6 +80,7 @@ class RoadSpec(SpecModel):
         superelevation: Cross slope for each 1/100 m of curvature, up to 6 %; roads lean into their bends.
         centre_marking: Dashes, a solid line, or none.
         has_edge_marking: Whether there are lines at the edges.
+        edge_line_m: Width of the lines at the edges where there is a median.
         wear: From 0, new, to 1, worn: markings fade, wheel tracks shine.
         wetness: From 0, dry, to 1, wet: the surface becomes darker and glossy.
         snow: Share of the carriageway that is covered with snow.
@@ -90,6 +92,7 @@ class RoadSpec(SpecModel):
     num_lanes: Annotated[int, Field(ge=1, le=5)] = 1
     median: Literal["none", "barrier", "rails"] = "none"
     median_m: Annotated[float, Field(ge=0, le=20)] = 0.0
+    barrier_m: Annotated[float, Field(ge=0.5, le=2)] = 0.9
     shoulders_m: tuple[Shoulder, Shoulder] = (0.0, 0.0)
     traffic: Side = "right"
     curvature_per_m: Profile = ((0.0, 0.0),)
@@ -97,6 +100,7 @@ class RoadSpec(SpecModel):
     superelevation: Annotated[float, Field(ge=0, le=0.2)] = 0.04
     centre_marking: Literal["dashed", "solid", "none"] = "dashed"
     has_edge_marking: bool = True
+    edge_line_m: Annotated[float, Field(ge=0.05, le=0.5)] = 0.3
     wear: Share = 0.3
     wetness: Share = 0.0
     snow: Share = 0.0
@@ -148,6 +152,8 @@ class VehicleSpec(SpecModel):
         yaw_aim_deg: Misalignment of the headlamps to the left.
         pitch_aim_deg: Misalignment of the headlamps upwards.
         is_light: Whether its paint is light.
+        lights_up_to_m: How near to us it has to be for what its lamps light to count; further away, only the lamps
+            themselves are seen, which costs little.
     """
 
     kind: VehicleKind = "car"
@@ -164,6 +170,7 @@ class VehicleSpec(SpecModel):
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     is_light: bool = False
+    lights_up_to_m: Positive | None = None
 
     @model_validator(mode="after")
     def _check(self) -> VehicleSpec:
@@ -180,6 +187,7 @@ class EgoSpec(SpecModel):
         traffic: The side of traffic for which its low beam is made.
         beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
         low_beam_file: An IES file for the low beam instead of the built-in table.
+        carpet: Wide and near light of the built-in low beam: 1 for modern lamps, 0.4 for old ones, see `low_beam`.
         brightness: Factor on the headlamps.
         yaw_aim_deg: Misalignment of the headlamps to the left.
         pitch_aim_deg: Misalignment of the headlamps upwards.
@@ -192,6 +200,7 @@ class EgoSpec(SpecModel):
     traffic: Side = "right"
     beam: EgoBeam = "low"
     low_beam_file: str | None = None
+    carpet: Annotated[float, Field(gt=0, le=1)] = 1.0
     brightness: Positive = 1.0
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0

@@ -98,7 +98,7 @@ def drawn_vehicle(
         brightness=draw.log_uniform(0.6, 1.8),
         yaw_aim_deg=draw.normal(0.0, 0.5),
         pitch_aim_deg=draw.normal(0.0, 1.2 if kind == "bicycle" else 0.4),
-        is_light=draw.chance(0.5),
+        is_light=draw.chance(0.35),
         **fields,
     )
 

@@ -41,7 +41,7 @@ NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Side: TypeAlias = Literal["left", "right"]
 
-SignKind: TypeAlias = Literal["chevron_left", "chevron_right", "round", "triangle", "rectangle", "post_marker"]
+SignKind: TypeAlias = Literal["chevron_left", "chevron_right", "round", "triangle", "rectangle", "guide", "post_marker"]
 
 
 class SpecModel(FrozenModel):
@@ -248,6 +248,32 @@ class Signal(_At):
     faces_oncoming: bool = False
 
 
+class Gantry(_At):
+    """Guide signs on a beam above the carriageway of one side, facing its traffic.
+
+    Attributes:
+        height_m: Height of the signs' lower edges above the road.
+        signs_m: Width of each sign, from the edge of the road inwards.
+    """
+
+    height_m: Positive = 5.6
+    signs_m: Annotated[tuple[Size, ...], Field(min_length=1, max_length=5)] = (4.0, 3.0)
+
+
+class Bridge(SpecModel):
+    """Another road's bridge above ours.
+
+    Attributes:
+        s_m: Position of its middle along our road.
+        width_m: Its width along our road.
+        height_m: Height of its lower edge above our road.
+    """
+
+    s_m: float
+    width_m: Annotated[float, Field(ge=2, le=60)] = 10.0
+    height_m: Annotated[float, Field(ge=4, le=20)] = 5.2
+
+
 class Verge(SpecModel):
     """The ground on one side of the carriageway.
 
@@ -284,6 +310,8 @@ class SurroundingsSpec(SpecModel):
         street_lamps: Lamps on poles.
         panels: Lit billboards.
         signals: Traffic lights.
+        gantries: Guide signs above the road.
+        bridges: Bridges above the road.
         settlements: Lamps of places in the distance.
         delineator_spacing_m: Distance between posts with reflectors on both sides; 0 for none.
         num_bushes: Number of single bushes.
@@ -299,6 +327,8 @@ class SurroundingsSpec(SpecModel):
     street_lamps: Listed[tuple[StreetLamp, ...]] = ()
     panels: Listed[tuple[Panel, ...]] = ()
     signals: Listed[tuple[Signal, ...]] = ()
+    gantries: Listed[tuple[Gantry, ...]] = ()
+    bridges: Listed[tuple[Bridge, ...]] = ()
     settlements: Annotated[tuple[Settlement, ...], Field(max_length=20)] = ()
     delineator_spacing_m: NonNegative = 50.0
     num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0

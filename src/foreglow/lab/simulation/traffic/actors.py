@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.lab.simulation.light.lamps import PlacedBody, PlacedLamp
+from foreglow.lab.simulation.light.lamps import FIXED_LAYER, PlacedBody, PlacedLamp
 from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
 from foreglow.lab.simulation.traffic.kinematics import VehicleState, vehicle_state
 from foreglow.lab.simulation.world.bodies import (
@@ -56,12 +56,14 @@ class LitLamp:
         is_rear: Whether it shines backwards; a side marker does on a vehicle that drives ahead of us.
         placed: Its pose and its light.
         function: What the lamp is for.
+        face_m: Width and height of its face, as in `LampMount`.
     """
 
     name: str
     is_rear: bool
     placed: PlacedLamp
     function: LampFunction = "low"
+    face_m: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +76,7 @@ class Actor:
         body: Its shape.
         state: Its pose and motion.
         lamps: Its lamps that are on.
+        layer: Layer of the light of its lamps; None if they light nothing.
     """
 
     vehicle_id: int
@@ -81,6 +84,7 @@ class Actor:
     body: Body
     state: VehicleState
     lamps: tuple[LitLamp, ...]
+    layer: int | None
 
     @property
     def placed_body(self) -> PlacedBody:
@@ -100,7 +104,7 @@ def actors_at(
     time_s: float,
     first_layer: int,
 ) -> tuple[Actor, ...]:
-    """The vehicles that matter at `time_s`; the light of the vehicle at index i has the layer `first_layer` + i.
+    """The vehicles that matter at `time_s`; those that light something have layers from `first_layer` on, in order.
 
     Args:
         vehicles: The vehicles of the scene.
@@ -111,6 +115,7 @@ def actors_at(
     """
     actors: list[Actor] = []
     is_left = roads[0].spec.traffic == "left"
+    next_layer = first_layer
     for number, spec in enumerate(vehicles):
         body = _right_hand_drive(spec.kind) if is_left else BODIES[spec.kind]
         state = vehicle_state(spec, *roads, body.wheelbase_m, time_s)
@@ -121,8 +126,12 @@ def actors_at(
         is_near = ahead > -behind_m and distance < FARTHEST_M
         if is_near and 0.0 < state.s_m < own_road.length_m:
             is_braking = any(begin <= time_s < end for begin, end in spec.brakes_s)
-            lamps = _lamps(spec, body, state.pose, first_layer + len(actors), is_braking=is_braking, is_left=is_left)
-            actors.append(Actor(number, spec, body, state, lamps))
+            layer = None
+            if spec.beam != "off" and (spec.lights_up_to_m is None or distance < spec.lights_up_to_m):
+                layer = next_layer
+                next_layer += 1
+            lamps = _lamps(spec, body, state.pose, layer, is_braking=is_braking, is_left=is_left)
+            actors.append(Actor(number, spec, body, state, lamps, layer))
     return tuple(actors)
 
 
@@ -135,7 +144,7 @@ def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[
     if ego.beam == "matrix":
         lamps = [_matrix(lamp.matrix, is_left) for lamp in (headlamps.left, headlamps.right)]
         return lamps[0].table(led_levels[0]), lamps[1].table(led_levels[1])
-    table = _high_table(is_left) if ego.beam == "high" else _low_table(ego.low_beam_file, is_left)
+    table = _high_table(is_left) if ego.beam == "high" else _low_table(ego.low_beam_file, is_left, ego.carpet)
     return table, table
 
 
@@ -163,9 +172,9 @@ def _right_hand_drive(kind: str) -> Body:
 
 
 def _lamps(
-    spec: VehicleSpec, body: Body, pose: Pose, layer: int, *, is_braking: bool, is_left: bool
+    spec: VehicleSpec, body: Body, pose: Pose, layer: int | None, *, is_braking: bool, is_left: bool
 ) -> tuple[LitLamp, ...]:
-    """The lamps that are on; `is_left` says that traffic keeps to the left."""
+    """The lamps that are on; `is_left` says that traffic keeps to the left. Without a layer they light nothing."""
     if spec.beam == "off":
         return ()
     lamps = []
@@ -175,18 +184,21 @@ def _lamps(
         if mount.function in BRAKE_FUNCTIONS and not is_braking:
             continue
         is_rear = mount.function in REAR_FUNCTIONS or (mount.function == "side_marker" and spec.lane == "own")
-        lamps.append(LitLamp(mount.name, is_rear, _placed(mount, spec, pose, layer, is_left), mount.function))
+        lamps.append(
+            LitLamp(mount.name, is_rear, _placed(mount, spec, pose, layer, is_left), mount.function, mount.face_m)
+        )
     return tuple(lamps)
 
 
-def _placed(mount: LampMount, spec: VehicleSpec, pose: Pose, layer: int, is_left: bool) -> PlacedLamp:
+def _placed(mount: LampMount, spec: VehicleSpec, pose: Pose, layer: int | None, is_left: bool) -> PlacedLamp:
     if mount.function in _SIGNALS:
         turned, table = rotation(mount.yaw_rad), _SIGNALS[mount.function]()
     else:
         turned, table = _aim(spec.yaw_aim_deg, spec.pitch_aim_deg), _headlamp_table(spec, is_left)
     in_world = pose @ Pose(np.asarray(mount.position_m), turned)
-    is_marker = mount.function in MARKER_FUNCTIONS
-    return PlacedLamp(in_world, table, layer, spec.brightness, mount.radius_m, lights_nothing=is_marker)
+    lights_nothing = layer is None or mount.function in MARKER_FUNCTIONS
+    number = FIXED_LAYER if layer is None else layer
+    return PlacedLamp(in_world, table, number, spec.brightness, mount.radius_m, lights_nothing=lights_nothing)
 
 
 _SIGNALS: dict[LampFunction, Callable[[], IntensityTable]] = {
@@ -209,10 +221,10 @@ def _aim(yaw_deg: float, pitch_deg: float) -> Floats:
     return rotation(float(np.radians(yaw_deg)), float(np.radians(pitch_deg)))
 
 
-@functools.cache  # one object for each table, which is sent to the renderer once
-def _low_table(file: str | None, is_left: bool) -> IntensityTable:
+@functools.lru_cache(maxsize=16)  # one object for each table, which is sent to the renderer once
+def _low_table(file: str | None, is_left: bool, carpet: float = 1.0) -> IntensityTable:
     """The built-in low beam, or that of an IES file; mirrored where traffic keeps to the left."""
-    table = low_beam() if file is None else read_ies(Path(file))
+    table = low_beam(carpet) if file is None else read_ies(Path(file))
     return table.mirrored if is_left and file is None else table
 
 

@@ -21,6 +21,12 @@ DISC = np.array(
 )
 """Points spread over a lamp's disc, in units of its radius."""
 
+SMALLEST_FACE_PX = 3.0
+"""A lamp whose face is smaller in the image is drawn as its disc."""
+
+MAX_FACE_DISCS = 7
+"""Discs in a row that draw a face."""
+
 BODY_POINTS = np.array([(x, y, z) for x in (-0.45, 0.0, 0.45) for y in (-0.45, 0.0, 0.45) for z in (-0.35, 0.1, 0.45)])
 """Points spread over a vehicle's box, in units of its size."""
 
@@ -92,18 +98,32 @@ class Sightings:
 
     def lamp_points(self, actor: Actor, lamps: tuple[LampTruth, ...], *, only_rear: bool = False) -> LampPoints:
         """The lamps of a vehicle that the camera sees, as points of light; all of them, or only rear lamps."""
-        seen = [index for index, lamp in enumerate(lamps) if lamp.visible_share > 0 and (lamp.is_rear or not only_rear)]
-        distances = [float(np.linalg.norm(lamps[index].position_world_m - self.camera_m)) for index in seen]
-        return LampPoints(
-            np.array([lamps[index].position_px for index in seen]).reshape(-1, 2),
-            np.array(
-                [
-                    lamps[index].visible_share * self.illuminance_lx(actor.lamps[index].placed, self.camera_m)
-                    for index in seen
-                ]
-            ),
-            np.array([self.radius_px(lamps[index].radius_m, d) for index, d in zip(seen, distances, strict=True)]),
+        positions, illuminances, radii = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros(0)]
+        for lamp, lit in zip(lamps, actor.lamps, strict=True):
+            if lamp.visible_share <= 0 or (only_rear and not lamp.is_rear):
+                continue
+            distance = float(np.linalg.norm(lamp.position_world_m - self.camera_m))
+            illuminance = lamp.visible_share * self.illuminance_lx(lit.placed, self.camera_m)
+            points, radius_m = np.array([lamp.position_px]), lamp.radius_m
+            if self.radius_px(max(lit.face_m), distance) > SMALLEST_FACE_PX:
+                points, radius_m = self._face_px(lit)
+            positions.append(points)
+            illuminances.append(np.full(len(points), illuminance / len(points)))
+            radii.append(np.full(len(points), self.radius_px(radius_m, distance)))
+        return LampPoints(np.concatenate(positions), np.concatenate(illuminances), np.concatenate(radii))
+
+    def _face_px(self, lamp: LitLamp) -> tuple[Floats, float]:
+        """Points on the face of a lamp, shape (N, 2), of overlapping discs that draw it, and their radius in metres."""
+        width, height = lamp.face_m
+        radius_m = min(lamp.face_m) / 2
+        num_y, num_z = (min(MAX_FACE_DISCS, 2 * round(size / min(lamp.face_m)) - 1) for size in lamp.face_m)
+        y, z = (
+            (np.arange(num) - (num - 1) / 2) * (size - 2 * radius_m) / max(num - 1, 1)
+            for num, size in ((num_y, width), (num_z, height))
         )
+        local = np.stack([np.zeros(num_y * num_z), *(axis.ravel() for axis in np.meshgrid(y, z))], -1)
+        world = lamp.placed.world_from_lamp.to_outer(local)
+        return np.array([self.project(point) for point in world]), radius_m
 
     def radius_px(self, radius_m: float, distance_m: float) -> float:
         """Radius in the image of a disc that faces the camera."""

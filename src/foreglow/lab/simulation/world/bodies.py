@@ -49,12 +49,14 @@ class LampMount:
         function: The beam that it belongs to, or what else it is for.
         position_m: Position in the vehicle's frame, just outside the body.
         radius_m: Radius of its disc.
+        face_m: Width and height of a face that shines evenly, in which the disc is; (0, 0) for the disc alone.
     """
 
     name: str
     function: LampFunction
     position_m: tuple[float, float, float]
     radius_m: float
+    face_m: tuple[float, float] = (0.0, 0.0)
 
     @property
     def yaw_rad(self) -> float:
@@ -180,7 +182,12 @@ _SHAPES: dict[str, Callable[..., Mesh]] = {
 
 
 def _mounts(
-    function: LampFunction, is_pair: bool, position_m: list[float], radius_m: float, number: int | None = None
+    function: LampFunction,
+    is_pair: bool,
+    position_m: list[float],
+    radius_m: float,
+    number: int | None = None,
+    face_m: list[float] | None = None,
 ) -> list[LampMount]:
     """One lamp, or a left and a right one, just outside the body's shell; a number tells those of a row apart."""
     x, y, z = position_m
@@ -189,9 +196,13 @@ def _mounts(
     else:
         x += -LAMP_GAP_M if function in REAR_FUNCTIONS else LAMP_GAP_M
     name = function if number is None else f"{function}_{number}"
+    width, height = face_m or (0.0, 0.0)
     if not is_pair:
-        return [LampMount(name, function, (x, y, z), radius_m)]
-    return [LampMount(f"{name}_{side}", function, (x, s * y, z), radius_m) for side, s in (("left", 1), ("right", -1))]
+        return [LampMount(name, function, (x, y, z), radius_m, (width, height))]
+    return [
+        LampMount(f"{name}_{side}", function, (x, s * y, z), radius_m, (width, height))
+        for side, s in (("left", 1), ("right", -1))
+    ]
 
 
 def _body(

@@ -77,6 +77,9 @@ LENS_M = 0.2
 LENS_HEIGHTS_M = {"red": 0.77, "amber": 0.47, "green": 0.17}
 """Heights of the lenses above the lower edge of the housing."""
 
+FAR_LAMP_SPREAD = 1.4
+"""Standard deviation of the logarithm of the intensities of lamps in the distance: many are half hidden."""
+
 FAR_LAMP_M, FAR_LAMP_SIZE_M = 4.0, (0.6, 0.3)
 """Least height above the road, width and height of lamps in the distance."""
 
@@ -128,7 +131,7 @@ def build_signals(signals: tuple[Signal, ...], terrain: Terrain) -> tuple[list[M
 def build_settlements(
     settlements: tuple[Settlement, ...], terrain: Terrain, rng: np.random.Generator
 ) -> list[FixedLight]:
-    """The lamps of places in the distance, which face us; most are low, and a few are much brighter than the others."""
+    """The lamps of places in the distance, which face us; most are low and faint, and a few are much brighter."""
     road = terrain.road
     lights = []
     for settlement in settlements:
@@ -138,7 +141,7 @@ def build_settlements(
             heading = float(road.heading_rad(known_m))
             foot = road.points(known_m, t_m) + (s_m - known_m) * np.array([np.cos(heading), np.sin(heading), 0.0])
             height = FAR_LAMP_M + settlement.height_m * rng.beta(1.0, 3.0)
-            intensity_cd = settlement.intensity_cd * float(np.exp(rng.normal()))
+            intensity_cd = settlement.intensity_cd * float(np.exp(FAR_LAMP_SPREAD * rng.normal()))
             pose = Pose(foot + np.array([0.0, 0.0, height]), rotation(heading + np.pi))
             lights.append(FixedLight(pose, "far_lamp", intensity_cd, FAR_LAMP_SIZE_M, reach_m=0.0))
     return lights
@@ -182,7 +185,7 @@ def build_median(terrain: Terrain, rng: np.random.Generator) -> list[Mesh]:
     road = terrain.road
     span = (0.0, road.length_m)
     if road.spec.median == "barrier":
-        return [_barrier(terrain, span), _reflectors(terrain, 0.93)]
+        return [_barrier(terrain, span), _reflectors(terrain, road.spec.barrier_m + 0.03)]
     if road.spec.median == "rails":
         wobble = Noise(rng, 6.0)
         rails = [
@@ -197,7 +200,8 @@ def _barrier(terrain: Terrain, span: Span) -> Mesh:
     right = BARRIER_PROFILE_M[:-1][::-1] * [-1.0, 1.0]
     profile = np.concatenate([BARRIER_PROFILE_M[:-1], right])
     s = np.arange(span[0], span[1] + STEP_M / 2, STEP_M)
-    points = terrain.road.points(s[:, None], profile[:, 0], profile[:, 1])
+    heights = np.where(profile[:, 1] > 0.5, terrain.road.spec.barrier_m, profile[:, 1])
+    points = terrain.road.points(s[:, None], profile[:, 0], heights)
     return strip(points, material_number("concrete"))
 
 

@@ -73,8 +73,9 @@ MATERIALS: tuple[Material, ...] = (
     Material("lamp_glass", "vehicle", 0.20, 0.08, 0.1),
     Material("clothing", "vehicle", 0.05, 0.0, 0.9),
     Material("kerb", "road", 0.30, 0.0, 0.8, variation=0.2, bump=0.02),
-    Material("pole", "sign", 0.25, 0.15, 0.5, variation=0.1),
+    Material("pole", "sign", 0.14, 0.10, 0.5, variation=0.1),
     Material("screen", "sign", 0.05, 0.04, 0.3),
+    Material("paint_mid", "vehicle", 0.16, 0.04, 0.25),
 )
 """Every material of a world; its index is the number in `Mesh.materials`. Albedos and coefficients of retroreflection
 are similar to published tables (EN 1436 for markings, EN 12899 for signs) and not tuned on images.

@@ -14,8 +14,8 @@ from foreglow.geometry import Floats, Pose, rotation
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.scenes.surroundings import Profile
 
-NARROW_M, WIDE_M = 0.15, 0.30
-"""Widths of the lines between lanes and at the edges of motorways; in towns both are narrow."""
+NARROW_M = 0.15
+"""Width of the lines between lanes, and at the edges in towns."""
 
 MOTORWAY_DASH_M, MOTORWAY_PERIOD_M = 6.0, 18.0
 TOWN_DASH_M, TOWN_PERIOD_M = 3.0, 9.0
@@ -55,7 +55,7 @@ def lane_lines(road: RoadSpec) -> tuple[Line, ...]:
     [1.75, 5.5, 9.25]
     """
     is_motorway = road.median_m > 0
-    edge_m = WIDE_M if is_motorway else NARROW_M
+    edge_m = road.edge_line_m if is_motorway else NARROW_M
     dash_m, period_m = (MOTORWAY_DASH_M, MOTORWAY_PERIOD_M) if is_motorway else (TOWN_DASH_M, TOWN_PERIOD_M)
     first_m = road.median_m / 2 + road.shoulders_m[0]
     inner_m = first_m - edge_m / 2 - 0.1 if is_motorway else BESIDE_MIDDLE_M

@@ -25,6 +25,7 @@ ASPECTS: dict[SignKind, float] = {
     "round": 1.0,
     "triangle": 0.866,
     "rectangle": 0.6,
+    "guide": 0.6,
     "post_marker": 3.0,
 }
 """Height over width."""
@@ -74,6 +75,7 @@ _FACES: dict[SignKind, str] = {
     "round": "sign_colour",
     "triangle": "sign_colour",
     "rectangle": "sign_white",
+    "guide": "sign_colour",
     "post_marker": "sign_white",
 }
 
@@ -94,6 +96,8 @@ def _picture(kind: SignKind, num_lines: int) -> tuple[Floats, list[_Layer]]:
         rows = np.linspace(-0.25, 0.25, num_lines) * aspect if num_lines > 1 else np.zeros(num_lines)
         lines = [(_rectangle(0.0, y, 0.7, 0.1), "sign_black", 1) for y in rows]
         return _rectangle(0.0, 0.0, 1.0, aspect), lines
+    if kind == "guide":
+        return guide_picture(ASPECTS[kind], num_lines + 2, num_lines)
     if kind == "post_marker":
         aspect = ASPECTS[kind]
         stripes = [np.array([[-0.5, y], [0.5, y + 0.5], [0.5, y + 0.9], [-0.5, y + 0.4]]) for y in (-1.4, -0.5, 0.4)]
@@ -101,6 +105,25 @@ def _picture(kind: SignKind, num_lines: int) -> tuple[Floats, list[_Layer]]:
     mirror = np.array([1.0, 1.0]) if kind == "chevron_left" else np.array([-1.0, 1.0])
     arms = [_ARROW[0] * mirror, _ARROW[0] * mirror * [1.0, -1.0]]
     return _rectangle(0.0, 0.0, 1.0, 1.0), [(arm, "sign_dark", 1) for arm in arms]
+
+
+def guide_picture(aspect: float, num_lines: int, seed: int) -> tuple[Floats, list[_Layer]]:
+    """Outline and picture of a guide sign: a frame, and lines of words of different lengths, white on a colour.
+
+    Both are in units of its width; the height is `aspect`.
+    """
+    rng = np.random.default_rng([seed, num_lines])
+    frame = [(_rectangle(0.0, side * 0.47 * aspect, 0.97, 0.012), "sign_white", 1) for side in (-1, 1)]
+    frame += [(_rectangle(side * 0.48, 0.0, 0.012, 0.94 * aspect), "sign_white", 1) for side in (-1, 1)]
+    words: list[_Layer] = []
+    letter = 0.42 * aspect / num_lines
+    for y in (np.arange(num_lines) - (num_lines - 1) / 2) * 0.85 * aspect / num_lines:
+        x, end = -0.42, float(rng.uniform(-0.05, 0.42))
+        while x < end:
+            word = float(rng.uniform(0.25, 0.9)) * letter  # one or two strokes of a letter
+            words.append((_rectangle(x + word / 2, float(y), word, letter), "sign_white", 1))
+            x += word + (0.15 if rng.random() < 0.8 else 0.6) * letter
+    return _rectangle(0.0, 0.0, 1.0, aspect), [*frame, *words]
 
 
 def _rectangle(x: float, y: float, width: float, height: float) -> Floats:

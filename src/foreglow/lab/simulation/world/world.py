@@ -20,6 +20,7 @@ from foreglow.lab.simulation.world.furniture import (
     build_signals,
 )
 from foreglow.lab.simulation.world.mesh import Mesh, joined
+from foreglow.lab.simulation.world.overhead import build_bridges, build_gantries
 from foreglow.lab.simulation.world.plants import build_plants
 from foreglow.lab.simulation.world.road import Road, branch_road, interpolated
 from foreglow.lab.simulation.world.signs import build_signs
@@ -27,15 +28,8 @@ from foreglow.lab.simulation.world.terrain import Terrain
 
 __all__ = ["FixedLight", "World", "build_world"]
 
-TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM, MEDIAN_STREAM, FAR_STREAM = (
-    101,
-    102,
-    103,
-    104,
-    105,
-    106,
-    107,
-)
+TERRAIN_STREAM, FURNITURE_STREAM, SIGNS_STREAM, BUILDINGS_STREAM, PLANTS_STREAM = 101, 102, 103, 104, 105
+MEDIAN_STREAM, FAR_STREAM, OVERHEAD_STREAM = 106, 107, 108
 """Random streams, one for each part, so that an additional sign does not move a tree."""
 
 GRASS_REACH_M = 45.0
@@ -106,6 +100,8 @@ def build_world(scene: Scene) -> World:
         *build_median(terrain, stream(MEDIAN_STREAM)),
         *panels,
         *masts,
+        *build_gantries(spec.gantries, terrain, stream(OVERHEAD_STREAM)),
+        *build_bridges(spec.bridges, terrain),
     ]
     return World(joined(meshes), road, branches, (*windows, *lamps, *screens, *signals, *far), terrain)
 
