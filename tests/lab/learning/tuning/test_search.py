@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import itertools
 import json
 import os
 import socket
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -217,6 +219,21 @@ def test_a_file_that_is_no_journal_stays_as_it_is(tmp_path: Path, content: bytes
         open_study(StudyPlan(str(notes), "name", TuningSettings()))
     assert notes.read_bytes() == content
     assert list(tmp_path.iterdir()) == [notes]
+
+
+@pytest.mark.parametrize("content", [b"my only notes\n", None])
+def test_a_database_of_something_else_stays_as_it_is(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "drive.db3"
+    if content is None:
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            database.execute("CREATE TABLE messages (id INTEGER)")
+            database.commit()
+    else:
+        path.write_bytes(content)
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match=r"drive\.db3: expected a new file, or a database of searches"):
+        open_study(StudyPlan(f"sqlite:///{path}", "name", TuningSettings()))
+    assert path.read_bytes() == before
 
 
 def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import os
 import socket
+import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +34,9 @@ IMPORTANCE_TRIALS = 20
 
 _JOURNAL = b'{"op_code":'
 """With this each line of a journal begins."""
+
+_SQLITE = "sqlite:///"
+"""The begin of a URL of a database in a file."""
 
 _SEED = "seed"
 """Where a study keeps its seed: its first trials do not tell it."""
@@ -142,7 +147,26 @@ def check_journal(path: Path) -> None:
             raise NoJournalError(f"{path}: expected a new file, or the journal of a search, which begins with its line")
 
 
+def check_database(path: Path) -> None:
+    """Checks that there is no other database than one of searches in the file of an SQLite URL.
+
+    Raises:
+        NoJournalError: If there is something else.
+    """
+    if not path.exists() or (path.is_file() and path.stat().st_size == 0):
+        return
+    try:
+        with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+            names = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    except sqlite3.Error as error:
+        raise NoJournalError(f"{path}: expected a new file, or a database of searches: {error}") from None
+    if "studies" not in names:
+        raise NoJournalError(f"{path}: expected a new file, or a database of searches, got one without their table")
+
+
 def _storage(storage: str) -> BaseStorage | str:
+    if storage.startswith(_SQLITE):
+        check_database(Path(storage.removeprefix(_SQLITE)))
     if "://" in storage:
         return storage
     check_journal(Path(storage))
