@@ -129,10 +129,12 @@ def test_kinds_in_a_real_clip() -> None:
     ends = {"headlamp": False, "reflection": False, "tail": True}
     right: Counter[bool] = Counter()
     pipeline = foreglow.Pipeline()
-    last = max(map(int, labels))
+    is_needed = {number - before for number in map(int, labels) for before in range(9)}  # the model looks .25 s back
     for number, each in enumerate(Video(video)):
-        if number > last:
+        if number > max(is_needed):
             break
+        if number not in is_needed:
+            continue
         detections = pipeline.step(each).detections
         if str(number) not in labels:
             continue
