@@ -6,6 +6,7 @@ import functools
 import gc
 import os
 import re
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,10 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 # Hundreds of tests call a command, and building all of them takes a quarter of a second.
 typer.testing._get_command = functools.cache(typer.testing._get_command)  # type: ignore[attr-defined]
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as of a job in the background, whose children inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 EXTRAS = {"torch": "torch", "renderer": "mitsuba", "ros": "rclpy"}
 """The markers that say which extra a test needs, and the module that is missing without it."""
