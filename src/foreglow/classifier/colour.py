@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.types import LIGHT_KINDS, Frame
+from foreglow.types.frame import COLOURLESS
 
 EVEN_REDNESS = 0.08
 """r0, at which colour says nothing. Chosen, as are the others, on sorted lights of two real clips: decision 23."""
@@ -30,7 +31,6 @@ WEIGHT = 30.0
 LARGEST_CHANGE = 4.0
 """Of the log odds: colour alone does not outweigh a network that is quite sure."""
 
-_COLOURLESS = 128
 _IS_REAR = np.array([name.startswith("rear") for name in LIGHT_KINDS])
 
 
@@ -47,7 +47,7 @@ def redness(frame: Frame, boxes_xyxy_px: NDArray[np.int32]) -> NDArray[np.float6
     white = np.iinfo(frame.image.dtype).max / 255
     for index, (left, top, right, bottom) in enumerate(boxes_xyxy_px.tolist()):
         grey = cv2.mean(frame.image[top:bottom, left:right])[0] / white
-        chroma = cv2.mean(frame.red_chroma[top // 2 : -(-bottom // 2), left // 2 : -(-right // 2)])[0] - _COLOURLESS
+        chroma = cv2.mean(frame.red_chroma[top // 2 : -(-bottom // 2), left // 2 : -(-right // 2)])[0] - COLOURLESS
         if grey > 0:
             found[index] = chroma / grey
     return found

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.images import COLOURLESS, Chroma, if_coloured
+from foreglow.datasets.images import Chroma, if_coloured
 from foreglow.types import Image
+from foreglow.types.frame import COLOURLESS
 
 FILM_FORMATS = (
     *(
@@ -155,7 +156,7 @@ def grey_image(picture: Any) -> Image:
     return image
 
 
-def red_chroma(picture: Any) -> Chroma | None:
+def picture_chroma(picture: Any) -> Chroma | None:
     """As `images.red_chroma`, of a picture as it is shown; None for one without colour.
 
     Taken from the chroma as it was coded, whose matrix may be that of BT.709: what is red has up to a tenth less then.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_SIGNATURE, size_px
 from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
+from foreglow.types.frame import COLOURLESS
 
 MIN_SIDE_PX = 64
 """Smallest height and width of a frame from a file, pixels: the smallest the detector is tested with."""
@@ -43,9 +44,6 @@ Chroma: TypeAlias = NDArray[np.uint8]
 RED_CHROMA_OF_RGB = (0.41565, -0.58435, 0.1687)
 """Weights of R, G and B: Cr + Cb / 2 of ITU-R BT.601. White light of 2,500 to 10,000 K, from halogen to LED, changes it
 by less than half of what it changes Cr; red light has four fifths of its Cr."""
-
-COLOURLESS = 128
-"""The chroma of white."""
 
 
 def read_image(path: Path | str) -> Image:

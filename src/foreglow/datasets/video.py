@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image, red_chroma
+from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image, picture_chroma
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.types import Frame
@@ -151,7 +151,7 @@ class Video(FileSource):
 
     def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
         try:
-            image, chroma = grey_image(picture), red_chroma(picture)
+            image, chroma = grey_image(picture), picture_chroma(picture)
         except ValueError as error:
             raise ValueError(f"{self.path}: frame {index}: {error}") from None
         check_size(image.shape[0], image.shape[1], f"{self.path}: frame {index}")

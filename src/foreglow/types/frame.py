@@ -19,6 +19,9 @@ dives or squats by 20 degrees."""
 MAX_HALF_WIDTH_M, MAX_ROAD_NUMBER = 200.0, 1e9
 """No carriageway of a map is so wide; and no coordinate or slope is so large, of which others can be computed."""
 
+COLOURLESS = 128
+"""`Frame.red_chroma` of white."""
+
 MIN_STEP_S = 1e-3
 """No camera takes images in shorter intervals."""
 
@@ -132,8 +135,8 @@ class Frame(Value):
         earlier: The image from shortly before that the source keeps beside this one, as data sets of single images do;
             None without one.
         red_chroma: Of a camera with colour, shape (ceil(height / 2), ceil(width / 2)), uint8: how much redder than
-            white light of any colour temperature it is, see `datasets.images.red_chroma`; 128 for white, more for
-            red. None without colour.
+            white light of any colour temperature it is, see `datasets.images.red_chroma`; `COLOURLESS` for
+            white, more for red. None without colour.
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the camera is for

@@ -14,8 +14,7 @@ import cv2
 from av.error import FFmpegError
 
 from foreglow.datasets import VehicleData, to_grey
-from foreglow.datasets.decoding import decoded
-from foreglow.datasets.decoding import red_chroma as chroma_of
+from foreglow.datasets.decoding import decoded, picture_chroma
 from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chroma
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame, Image
@@ -157,7 +156,7 @@ class StreamCamera(LiveCamera):
             try:
                 for picture, is_damaged in decoded(container, container.streams.video[0]):
                     if picture is not None:
-                        image, chroma = picture.to_ndarray(format="gray"), chroma_of(picture)
+                        image, chroma = picture.to_ndarray(format="gray"), picture_chroma(picture)
                         yield self.arrived(image, is_damaged=is_damaged, red_chroma=chroma)
             except FFmpegError as error:
                 raise OSError(f"{self.name}: {error.strerror}") from error
