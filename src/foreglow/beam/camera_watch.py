@@ -158,8 +158,10 @@ class CameraWatch:
         self._recent_rows.append(sums)
         if not alike:
             return 0.0, False
-        is_known = np.logical_or.reduce(alike)
-        share = np.count_nonzero(is_known & (rows.min(axis=1) < rows.max(axis=1))) / len(rows)
+        known = rows[np.logical_or.reduce(alike)]
+        if not len(known):
+            return 0.0, False
+        share = np.count_nonzero(known.min(axis=1) < known.max(axis=1)) / len(rows)
         return share, any(each.all() for each in alike)
 
 
