@@ -58,6 +58,17 @@ def test_links_lead_somewhere() -> None:
     assert not broken
 
 
+def test_a_page_has_each_heading_once() -> None:
+    repeated = [
+        f"{short(page)}: {anchor}"
+        for page in PAGES
+        if page.name not in ("CHANGELOG.md", "commands.md")
+        for anchor in anchors(page)
+        if re.search(r"-[1-9]$", anchor) and anchor[:-2] in anchors(page)
+    ]
+    assert not repeated
+
+
 @cache
 def names_of(module: Path) -> frozenset[str]:
     """The names at the top of a module: what is defined, assigned or imported there."""
