@@ -158,3 +158,23 @@ def test_who_wrote_a_folder(name: str, text: str, writer: str, tmp_path: Path) -
                 with pytest.raises(ValueError, match=f"{name} is of `foreglow {writer}`"):
                     check_outputs({}, {}, {"--out": tmp_path})
     check_outputs({}, {}, {"--out": tmp_path})  # a program of the user's own may know better
+
+
+@pytest.mark.parametrize("name", ["results.json", "report.md", "config.toml", "range.png"])
+@pytest.mark.parametrize("command", ["experiment glare", "evaluate", "reproduce"])
+def test_a_report_leaves_files_that_are_not_of_an_earlier_one(command: str, name: str, tmp_path: Path) -> None:
+    """Such as the results of another program: what figures and tables are called is not known before the end."""
+    (tmp_path / name).write_text('{"accuracy": 0.9}')
+    (tmp_path / "notes.txt").touch()
+    with running(command):
+        with pytest.raises(ValueError, match=f"{name} is of something else"):
+            check_outputs({}, {}, {"--out": tmp_path})
+        (tmp_path / "results.json").write_text('{"made_with": {}}')
+        check_outputs({}, {}, {"--out": tmp_path})
+
+
+def test_a_run_of_ones_own_leaves_the_results_of_another_program(tmp_path: Path) -> None:
+    (tmp_path / "results.json").write_text("[0.9]")
+    (tmp_path / "times.jsonl").write_text("mine")
+    with pytest.raises(ValueError, match=r"times\.jsonl: expected nothing there but earlier results"):
+        OutputFolder(tmp_path)

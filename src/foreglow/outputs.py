@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -79,6 +80,12 @@ KINDS = {
     ),
 }
 """By mark; a record of which command wrote the folder goes before the marks."""
+
+REPORTING = ("experiment", "evaluate", "reproduce")
+"""Commands, or how their names begin, that write a report with its figures and tables, whose names vary."""
+
+REPORT_SUFFIXES = (".csv", ".html", ".jpg", ".json", ".jsonl", ".md", ".mp4", ".png", ".toml")
+"""How the names of a report's files end."""
 
 PARTS_OF_SPLIT = ("images", "labels", "simulation")
 """Folders of a split in PVDN's format."""
@@ -360,6 +367,25 @@ def _check_writer(name: str, folder: Path) -> None:
     for mark, kind in KINDS.items():
         if kind.commands and (folder / mark).is_file() and not command.startswith(kind.commands):
             raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
+    if command.startswith(REPORTING) and not _has_report(folder):
+        _check_new(name, folder)
+
+
+def _has_report(folder: Path) -> bool:
+    """Whether a folder has the report of an earlier experiment, also of one that was interrupted."""
+    is_begun = any((folder / mark).is_file() for mark in ("plan.json", "experiments.json"))
+    return is_begun or _value_in(folder / "results.json", ("made_with",)) is not None
+
+
+def _check_new(name: str, folder: Path) -> None:
+    """ValueError if a report could overwrite a file in the folder, none of which is of an earlier one."""
+    there = sorted(folder.iterdir()) if folder.is_dir() else []
+    for path in there:
+        if path.is_file() and not path.name.startswith(".") and path.suffix.lower() in REPORT_SUFFIXES:
+            raise ValueError(
+                f"{name} {folder}: expected a new folder, or one with earlier results of this command; {path} is of "
+                "something else"
+            )
 
 
 def _words_on_writer(name: str, folder: Path, writer: str, file: str) -> str:
@@ -368,13 +394,19 @@ def _words_on_writer(name: str, folder: Path, writer: str, file: str) -> str:
 
 def _said_in(path: Path, keys: Sequence[str]) -> str | None:
     """The text under these keys in a JSON file; None if there is none."""
+    value = _value_in(path, keys)
+    return value if isinstance(value, str) else None
+
+
+def _value_in(path: Path, keys: Sequence[str]) -> Any:
+    """What is under these keys in a JSON file; None if there is nothing."""
     from foreglow.files import read_plain_json  # only here: the help comes without NumPy and pydantic
 
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # the file may be anything
         value = read_plain_json(path)
         for key in keys:
             value = value[key]
-        return value if isinstance(value, str) else None
+        return value
     return None
 
 
@@ -425,9 +457,22 @@ def check_own(folder: Path, mark: str) -> None:
         return
     for path in (folder / name for name in (*KINDS[mark].parts, "config.toml", "summary.json")):
         if path.is_file():
-            raise ValueError(
-                f"{path}: expected nothing there but earlier results of this command; choose another folder"
-            )
+            raise ValueError(_words_on_foreign(path))
+
+
+def check_made_together(files: Sequence[Path]) -> None:
+    """Checks that files which are always written together are all there, as a command left them, or none of them.
+
+    Raises:
+        ValueError: If only some are there, which something else wrote.
+    """
+    there = [path for path in files if path.exists()]
+    if there and len(there) < len(files):
+        raise ValueError(_words_on_foreign(there[0]))
+
+
+def _words_on_foreign(path: Path) -> str:
+    return f"{path}: expected nothing there but earlier results of this command; choose another folder"
 
 
 def _has_earlier(folder: Path, mark: str) -> bool:
@@ -436,7 +481,7 @@ def _has_earlier(folder: Path, mark: str) -> bool:
         return any((folder / name).is_file() for name in KINDS[mark].begun)
     is_begun = any(partial_path(folder / name).exists() for name in RESULT_NAMES)
     has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in KINDS[RUN].begun)
-    return is_begun or has_results or (folder / "results.json").is_file()
+    return is_begun or has_results or _has_report(folder)
 
 
 def partial_path(path: Path) -> Path:

@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 from foreglow.cli import app
 from foreglow.lab import simulation
 from foreglow.lab.simulation import DatasetConfig, Scene, Split, draw_scenes, read_scene, scene_to_toml
+from foreglow.lab.simulation.preview import preview
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from tests.cli.commands import complaint
 
@@ -141,6 +142,14 @@ def test_a_preview(scene_file: Path, tmp_path: Path) -> None:
     assert is_coloured.any()  # the marks
     capture = cv2.VideoCapture(str(tmp_path / "drive.mp4"))
     assert int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) == 4
+
+
+@pytest.mark.parametrize("name", ["drive.mp4", "contact_sheet.png"])
+def test_a_preview_leaves_a_film_that_is_not_of_one(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(ValueError, match=f"{name}: expected nothing there but earlier results of this command"):
+        preview((), 0, 18.0, tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:

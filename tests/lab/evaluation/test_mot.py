@@ -92,6 +92,14 @@ def test_lights_in_one_box_are_one_object(dataset: PVDN, tmp_path: Path) -> None
     assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "1"]]
 
 
+@pytest.mark.parametrize("name", ["gt/S00003/gt/gt.txt", "gt/S00003/seqinfo.ini", "trackers/ours/data/S00003.txt"])
+def test_files_of_another_tool_stay(dataset: PVDN, tmp_path: Path, name: str) -> None:
+    write(tmp_path / "out" / name, "mine")
+    with pytest.raises(ValueError, match=f"{name}: expected nothing there but an earlier export of this split"):
+        export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out", "ours")
+    assert [path.read_text() for path in (tmp_path / "out").rglob("*") if path.is_file()] == ['"mine"']
+
+
 @pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b"])
 def test_a_name_that_leads_out_of_the_folder(dataset: PVDN, tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match="name of the tracker: expected one of a folder"):

@@ -32,6 +32,9 @@ from foreglow.whole_files import make_folder, together, write_atomic
 FALLBACK_SIDE_PX = 16.0
 """Side of the square around a light that no proposal contains, full-frame pixels."""
 
+INFO_NAME = "seqinfo.ini"
+"""What tells about a sequence; the same split gives the same."""
+
 _Boxes: TypeAlias = NDArray[np.float64]
 
 
@@ -71,7 +74,8 @@ def export_mot(
 
     Raises:
         FileNotFoundError: If a label file is missing.
-        ValueError: If a label file is broken, the run lacks an image, no sequence has a light, or `name` is a path.
+        ValueError: If a label file is broken, the run lacks an image, no sequence has a light, `name` is a path, or a
+            file is there that is not of an earlier export of this split.
         OSError: If a file cannot be written.
     """
     if not name or name != Path(name).name or name == "..":
@@ -86,15 +90,25 @@ def export_mot(
         if lights:
             truth = folder / "gt" / sequence.directory
             files[truth / "gt" / "gt.txt"] = lights
-            files[truth / "seqinfo.ini"] = _sequence_info(dataset, sequence)
+            files[truth / INFO_NAME] = _sequence_info(dataset, sequence)
             rows = "".join(_track_rows(dataset, image_ids, tracks))
             files[folder / "trackers" / name / "data" / f"{sequence.directory}.txt"] = rows
     if not files:
         raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
+    _check_own(files)
     with together():
         for path, text in files.items():  # once all is known to be sound
             make_folder(path.parent)
             write_atomic(path, text.encode())
+
+
+def _check_own(files: Mapping[Path, str]) -> None:
+    """ValueError if a file is there, and not what an earlier export has written beside it: the same `seqinfo.ini`."""
+    infos = [path for path in files if path.name == INFO_NAME and path.is_file()]
+    is_own = infos and all(path.read_bytes() == files[path].encode() for path in infos)
+    for path in files:
+        if path.exists() and not is_own:
+            raise ValueError(f"{path}: expected nothing there but an earlier export of this split")
 
 
 def score_mot(folder: Path, name: str = "foreglow") -> MotScores:

@@ -14,6 +14,7 @@ from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.writing.dataset import Progress
+from foreglow.outputs import check_made_together
 from foreglow.whole_files import atomic_path, together, write_atomic
 
 KIND_BGR: dict[str, Colour] = {
@@ -50,10 +51,12 @@ def preview(
         progress: Called after every frame, as for data sets.
 
     Raises:
+        ValueError: If only one of both is there, which is of something else.
         OSError: If a file cannot be written.
     """
-    shown = {round(number) for number in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     sheet, film = folder / "contact_sheet.png", folder / "drive.mp4"
+    check_made_together((sheet, film))
+    shown = {round(number) for number in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     tone: Tone | None = None
     tiles: list[Picture] = []
     with together():

@@ -51,6 +51,14 @@ def test_boxes_of_a_preset_take_precedence(annotated: Path, tmp_path: Path) -> N
     assert export.settings.boxes == "preset baseline"
 
 
+@pytest.mark.parametrize("name", ["data.yaml", "labels/val/000011.txt"])
+def test_another_data_set_is_neither_overwritten_nor_taken_for_ours(name: str, annotated: Path, tmp_path: Path) -> None:
+    write(tmp_path / "out" / name, "mine")
+    with pytest.raises(ValueError, match="expected a folder without a YOLO data set that is not of export-yolo"):
+        export_yolo(annotated, tmp_path / "out", size_px=48)
+    assert [path.name for path in (tmp_path / "out").rglob("*") if path.is_file()] == [Path(name).name]
+
+
 def test_a_missing_annotation(annotated: Path, tmp_path: Path) -> None:
     (annotated / "night/val/labels/bounding_boxes/000007.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"000007\.json: no such file, expected boxes of every image"):

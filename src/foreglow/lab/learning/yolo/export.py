@@ -205,8 +205,11 @@ def _claim(folder: Path, settings: ExportSettings) -> None:
     path = folder / SETTINGS_NAME
     if path.exists():
         check_claim(path, settings, read_json(path, ExportSettings), "export")
-    else:
-        write_atomic(path, (settings.model_dump_json(indent=1) + "\n").encode())
+        return
+    for name in (DATA_NAME, "images", "labels"):
+        if (folder / name).exists():
+            raise ValueError(f"{folder / name}: expected a folder without a YOLO data set that is not of export-yolo")
+    write_atomic(path, (settings.model_dump_json(indent=1) + "\n").encode())
 
 
 def check_claim(path: Path, wanted: BaseModel, known: BaseModel, what: str) -> None:
