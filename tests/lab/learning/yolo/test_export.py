@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from pathlib import Path
 
 import cv2
@@ -57,6 +58,17 @@ def test_another_data_set_is_neither_overwritten_nor_taken_for_ours(name: str, a
     with pytest.raises(ValueError, match="expected a folder without a YOLO data set that is not of export-yolo"):
         export_yolo(annotated, tmp_path / "out", size_px=48)
     assert [path.name for path in (tmp_path / "out").rglob("*") if path.is_file()] == [Path(name).name]
+
+
+def test_labels_that_changed_since_are_exported_again(annotated: Path, tmp_path: Path) -> None:
+    export_yolo(annotated, tmp_path / "out", size_px=48)
+    exported = tmp_path / "out/labels/val/000011.txt"
+    boxes = annotated / "night/val/labels/bounding_boxes/000011.json"
+    write(boxes, {"bounding_boxes": [], "labels": []})
+    later_ns = exported.stat().st_mtime_ns + 1
+    os.utime(boxes, ns=(later_ns, later_ns))
+    assert export_yolo(annotated, tmp_path / "out", size_px=48).num_boxes == {"val": 0}
+    assert exported.read_text() == ""
 
 
 def test_a_missing_annotation(annotated: Path, tmp_path: Path) -> None:

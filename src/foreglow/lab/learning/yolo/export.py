@@ -71,7 +71,8 @@ def export_yolo(
 
     The images are grey and scaled to a square, as in the published conversion. A line of a label file is
     `0 cx cy w h`, the centre and size of a box with a key point in it, relative to the image. Images without boxes have
-    an empty file. An interrupted export continues where it stopped.
+    an empty file. An interrupted export continues where it stopped; images are exported again if they or their labels
+    have changed since.
 
     Args:
         data: A data set with train, val and test in PVDN's layout, with frames of 8 bits.
@@ -111,7 +112,7 @@ def export_yolo(
         labels.mkdir(parents=True, exist_ok=True)
         for image_id in dataset.frame_ids:
             label_file = labels / f"{image_id:06d}.txt"
-            if not label_file.exists():  # written after the image
+            if not _is_current(label_file, dataset, image_id):  # written after the image
                 frame = dataset.read(image_id)
                 boxes = positive_boxes(dataset, frame, proposer)
                 write_atomic(
@@ -126,6 +127,13 @@ def export_yolo(
     data_file = folder / DATA_NAME
     write_atomic(data_file, _data_text(tuple(datasets)).encode())
     return YoloExport(data_file, settings, {name: len(dataset) for name, dataset in datasets.items()}, num_boxes)
+
+
+def _is_current(label_file: Path, dataset: LabelledSource, image_id: int) -> bool:
+    """Whether an earlier call has exported an image, which has not changed since, nor have its labels."""
+    labels = (dataset.root / "labels" / kind / f"{image_id:06d}.json" for kind in ("keypoints", "bounding_boxes"))
+    sources = [path for path in (dataset.image_path(image_id), *labels) if path.exists()]
+    return label_file.exists() and all(path.stat().st_mtime_ns <= label_file.stat().st_mtime_ns for path in sources)
 
 
 def read_export(folder: Path) -> ExportSettings:
