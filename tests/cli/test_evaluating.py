@@ -73,6 +73,15 @@ def fixture_predictions(tmp_path: Path) -> Path:
     return path
 
 
+def test_points_outside_the_image_are_told(split: Path, predictions: Path) -> None:
+    """As labels for larger images have them; the recall alone would look like a weak detector."""
+    words = ("evaluate", split, "--predictions", predictions)
+    assert "outside the image" not in foreglow_command(*words).stdout
+    keypoints = split / "labels" / "keypoints" / "000004.json"
+    keypoints.write_text(keypoints.read_text().replace("[10, 10]", "[160, 10]"))
+    assert "outside the image, so that no box finds them: 1 key point;" in foreglow_command(*words).stdout
+
+
 @pytest.fixture(name="model")
 def fixture_model(tmp_path: Path) -> Path:
     pytest.importorskip("onnx")

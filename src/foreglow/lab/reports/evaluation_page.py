@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from foreglow.display.summary_lines import counted
 from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup, OperatingPoint
 from foreglow.lab.evaluation.boxes.directness import Directness, KindConfusion
 from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
@@ -168,6 +169,11 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
 def examination_lines(examination: Examination) -> list[str]:
     """The figures that matter most, one fact a line, for a terminal."""
     breakdown, lines = examination.breakdown, []
+    if examination.num_outside:
+        lights = counted(examination.num_outside, "key point")
+        lines.append(
+            f"outside the image, so that no box finds them: {lights}; labels for images of another size have many"
+        )
     hidden = breakdown.group("sight", "hidden")
     if hidden is not None:
         lines.append(

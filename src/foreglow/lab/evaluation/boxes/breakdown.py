@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import Instance, LabelledSource
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
+from foreglow.datasets.pvdn.schema import ImageRecord
 from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
@@ -161,6 +162,7 @@ class SplitLabels:
         time_s: By image id, from the first image of its sequence, seconds.
         shares: Whose light is in the proposals; empty where that is not stored, or was not read.
         scenario_of: By image id, its sequence's scenario, such as `village`; empty where the split is not simulated.
+        num_outside: Lights that lie outside their image, where no box can hold them.
     """
 
     name: str
@@ -173,6 +175,7 @@ class SplitLabels:
     time_s: Mapping[int, float]
     shares: SplitShares = field(default_factory=dict)
     scenario_of: Mapping[int, str] = field(default_factory=dict)
+    num_outside: int = 0
 
     @property
     def keypoints_px(self) -> dict[int, NDArray[np.float64]]:
@@ -220,10 +223,11 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
     if has_truth(dataset.root):
         scenario = cache(read_truth(dataset.root).scenario)
         scenario_of = {image_id: scenario(sequence_id) for image_id, sequence_id in sequence_of.items()}
+    lights = read_lights(dataset)
     return SplitLabels(
         name=dataset.name,
         rate_hz=dataset.rate_hz,
-        lights=read_lights(dataset),
+        lights=lights,
         doubtful_px={image_id: _positions(dataset.doubtful(image_id)) for image_id in ids},
         empty_images=frozenset(empty_images(dataset)),
         weather_of={image_id: dataset.sequence(image_id).weather.name.lower() for image_id in ids},
@@ -231,7 +235,14 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
         sequence_of=sequence_of,
         time_s={image_id: dataset.time_s(image_id) for image_id in ids},
         shares=read_split_shares(dataset) if with_shares else {},
+        num_outside=sum(_num_outside(dataset.image(image_id), found) for image_id, found in lights.items() if found),
     )
+
+
+def _num_outside(image: ImageRecord, lights: Iterable[Light]) -> int:
+    """How many of the lights lie beyond the edges of their image."""
+    positions = (light.position_px for light in lights)
+    return sum(not (0 <= x <= image.width_px and 0 <= y <= image.height_px) for x, y in positions)
 
 
 def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:

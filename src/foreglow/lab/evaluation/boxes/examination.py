@@ -68,6 +68,7 @@ class Examination:
         whose_light: Figures by whose light is in the boxes; None where the split does not store that.
         is_complete: False if the predictions are of a run that was interrupted, or has lost frames since.
         kinds: Which kinds are taken for which; None where a run tells none or the data set stores no shares.
+        num_outside: Lights that lie outside their image.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Examination:
     whose_light: WhoseLight | None = None
     kinds: KindConfusion | None = None
     is_complete: bool = True
+    num_outside: int = 0
 
     @property
     def share_found_ahead(self) -> float:
@@ -139,4 +141,5 @@ def examine(
         directness=Directness(directness_of_boxes(labels, predictions, threshold)),
         whose_light=whose_light(labels, predictions, matched, threshold),
         kinds=kind_confusion(labels, predictions, threshold),
+        num_outside=labels.num_outside,
     )
