@@ -51,7 +51,9 @@ ALLOWED: dict[str, set[str]] = {
     "inputs": {"files", "outputs"},
     "options": {"config", "beam", "datasets", "files", "inputs", "outputs", "parallel"},
     "lab": set(),
-    "lab.simulation": VALUES | BASES | {"calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
+    "lab.simulation": VALUES
+    | BASES
+    | {"outputs", "calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
     "lab.evaluation": CAR,
     "lab.learning": CAR | {"models", "outputs", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"outputs", "lab.simulation", "lab.evaluation", "lab.learning"},

@@ -175,6 +175,15 @@ class _Block:
 _BLOCK: ContextVar[_Block | None] = ContextVar("_BLOCK", default=None)
 
 
+def is_temporary(path: Path) -> bool:
+    """Whether a file has the name of one that is being written; others that end with `.tmp` are the user's.
+
+    >>> is_temporary(Path("data/.info.json.12-34.tmp")), is_temporary(Path("data/.mine.tmp"))
+    (True, False)
+    """
+    return _TEMPORARY.fullmatch(path.name) is not None
+
+
 def _clear(folder: Path) -> None:
     """Removes the temporary files in `folder` whose process is gone; once per folder is enough."""
     if folder in _CLEARED:

@@ -19,6 +19,7 @@ from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import LabelRule, Scene
 from foreglow.lab.simulation.writing import recorder
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
+from foreglow.outputs import FolderLock
 from foreglow.parallel import Local
 from foreglow.whole_files import write_atomic
 from tests.lab.simulation.stub_drive import drive, scene
@@ -165,6 +166,20 @@ def test_leftovers_of_a_killed_run_vanish(whole: Path, tmp_path: Path) -> None:
     (root / "labels" / ".sequences.json.1-2.tmp").write_text("{")
     simulate_dataset(tmp_path / "DATA", SCENES, drive)
     assert digest(tmp_path / "DATA") == digest(whole)
+
+
+def test_hidden_files_of_the_user_stay(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "DATA")
+    (tmp_path / "DATA/night/train/.notes.tmp").write_text("mine")
+    simulate_dataset(tmp_path / "DATA", SCENES, drive)
+    assert (tmp_path / "DATA/night/train/.notes.tmp").read_text() == "mine"
+
+
+def test_two_do_not_write_one_split(tmp_path: Path) -> None:
+    """Also through other folders: several cameras have theirs below that of the command."""
+    with FolderLock(tmp_path / "DATA/night/train"), pytest.raises(ValueError, match="another run is writing"):
+        simulate_dataset(tmp_path / "DATA", SCENES, drive)
+    assert not (tmp_path / "DATA").exists()
 
 
 def test_a_drive_that_lost_an_image_is_made_again(whole: Path, tmp_path: Path) -> None:

@@ -14,10 +14,11 @@ becomes as many sequences, one after the other.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -47,7 +48,9 @@ from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_label
 from foreglow.lab.simulation.writing.recorder import Recorder
 from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write_scenes
 from foreglow.lab.simulation.writing.street_data import StreetDataError
+from foreglow.outputs import FolderLock
 from foreglow.parallel import Local, Parent, Workers
+from foreglow.whole_files import is_temporary
 
 SIMULATOR_VERSION = 1
 """Raise it whenever the same scene gives other bytes: then finished scenes of an earlier version are not mixed in."""
@@ -156,7 +159,7 @@ def simulate_dataset(
 
     Raises:
         ValueError: If the scenes do not fit together, the folder holds something else or scenes that were made
-            differently, or a drive contradicts its scene.
+            differently, another process is writing there, or a drive contradicts its scene.
         OSError: If something cannot be written, such as on a full disk, or a process died; scenes that are finished
             stay.
     """
@@ -211,6 +214,22 @@ def simulate_datasets(
         OSError: As `simulate_dataset`.
     """
     files = {target.root: _scene_files(scenes, target.config, num_variants) for target in targets}
+    with contextlib.ExitStack() as locks:
+        for root in files:
+            locks.enter_context(FolderLock(root))
+        return _simulated(targets, scenes, expose, files, num_variants, workers, progress)
+
+
+def _simulated(
+    targets: Sequence[Target],
+    scenes: Sequence[Scene],
+    expose: ExposeScene,
+    files: Mapping[Path, list[SceneFile]],
+    num_variants: int,
+    workers: Workers | None,
+    progress: Progress | None,
+) -> tuple[DatasetSummary, ...]:
+    """As `simulate_datasets`, for the sequences of each split, which nobody else writes meanwhile."""
     kept = {root: _kept(root, listed) for root, listed in files.items()}
     infos = {target.root: _info(files[target.root], target.config) for target in targets}
     for root, listed in files.items():
@@ -235,7 +254,7 @@ def simulate_datasets(
         pass
     summaries = []
     for root, info in infos.items():
-        for leftover in root.rglob(".*.tmp"):  # of a run that was killed
+        for leftover in filter(is_temporary, root.rglob(".*.tmp")):  # of a run that was killed
             leftover.unlink(missing_ok=True)
         summaries.append(DatasetSummary(root, len(kept[root]), write_labels(root, info)))
     return tuple(summaries)
