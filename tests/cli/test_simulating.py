@@ -152,6 +152,15 @@ def test_a_preview_leaves_a_film_that_is_not_of_one(name: str, tmp_path: Path) -
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
+def test_a_drive_that_leaves_the_map_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text("[road]\nlength_m = 400.0\n[ego]\ntimetable = [[0.0, 20.0], [10.0, 2200.0]]\n")
+    for options in (("--out", tmp_path / "out"), ("--out", tmp_path / "out", "--preview", "mine")):
+        words = complaint("simulate", "--scene", file, *options)
+        assert f"{file}: ego.timetable: expected arc lengths on the map, -1000 to 1400 m, got 1" in words
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
 def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(foreglow("simulate", "--print", "crest", "--seed", 5).stdout)

@@ -47,7 +47,7 @@ from foreglow.lab.simulation.writing.lidar import LidarConfig
 from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
 from foreglow.lab.simulation.writing.recorder import Recorder
 from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write_scenes
-from foreglow.lab.simulation.writing.street_data import StreetDataError
+from foreglow.lab.simulation.writing.street_data import StreetDataError, check_ego_on_map
 from foreglow.outputs import FolderLock
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.whole_files import is_temporary
@@ -277,6 +277,7 @@ def _scene_files(scenes: Sequence[Scene], config: DatasetConfig, num_variants: i
                 )
         if scene.num_frames > MAX_FRAMES:
             raise ValueError(f"scenes: expected up to {MAX_FRAMES} frames each, scene {number} has {scene.num_frames}")
+        check_ego_on_map(scene, f"scene {number}")
     making = Making(
         generator=config.generator,
         lidar=config.lidar,

@@ -15,7 +15,8 @@ from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats, Pose
-from foreglow.lab.simulation.world.road import Road
+from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.world.road import Road, interpolated
 from foreglow.street import (
     ERROR_BOUNDS_M,
     LENGTH_STEP_M,
@@ -169,3 +170,20 @@ def _cuts(curvatures: Floats, slopes: Floats) -> list[int]:
         ):
             cuts.append(end - 1)
     return [*cuts, len(curvatures) - 1]
+
+
+def check_ego_on_map(scene: Scene, origin: str) -> None:
+    """Checks that our own drive stays on the map.
+
+    Raises:
+        ValueError: If it leaves it; the message begins with `origin`.
+    """
+    times_s = [scene.time_s(number) for number in range(scene.num_frames)]
+    arc_lengths_m, _ = interpolated(scene.ego.timetable, times_s)
+    first_m, last_m = -_MAP_MARGIN_M, scene.road.length_m + _MAP_MARGIN_M
+    for arc_length_m in (arc_lengths_m.min(), arc_lengths_m.max()):
+        if not first_m <= arc_length_m < last_m:
+            raise ValueError(
+                f"{origin}: ego.timetable: expected arc lengths on the map, {first_m:g} to {last_m:g} m, "
+                f"got {arc_length_m:g} m"
+            )
