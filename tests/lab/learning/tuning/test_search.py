@@ -7,6 +7,7 @@ import importlib
 import itertools
 import json
 import os
+import shutil
 import socket
 import sqlite3
 import subprocess
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import pytest
 
 from foreglow.config import read_config
@@ -118,6 +120,16 @@ def test_goes_on_as_if_never_stopped(straight: Tuning, data: Path, tmp_path: Pat
     resumed = searched(data, tmp_path, 24)
     assert drawn(resumed.trials) == drawn(straight.trials)
     assert resumed.finalists == straight.finalists
+
+
+def test_trials_on_other_images_do_not_count(data: Path, tmp_path: Path) -> None:
+    """Also with the same ids and labels, as a copy of the data has whose images were made brighter."""
+    copy = shutil.copytree(data, tmp_path / "copy")
+    for path in split_folder(copy, "train").rglob("images/*/*.png"):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        cv2.imwrite(str(path), cv2.bitwise_not(image))
+    assert plan_of(data, tmp_path / "out").name != plan_of(copy, tmp_path / "out").name
 
 
 def _leave_a_dead_trial(data: Path, out: Path) -> None:

@@ -226,8 +226,10 @@ class Material:
 
     @property
     def digest(self) -> str:
-        """A digest of the image ids and labels; the folder of the data does not matter."""
+        """A digest of the images with their ids and labels; the folder of the data does not matter."""
         state = hashlib.sha256(repr(self.image_ids).encode())
+        with self.frames.path.open("rb") as pixels:
+            state.update(hashlib.file_digest(pixels, "sha256").digest())
         for labelled in self.lights:
             state.update(labelled.points_px.tobytes())
             for flags in labelled.is_of_kind.values():
