@@ -130,6 +130,15 @@ def test_a_state_of_another_shape_is_said(data: Path, tmp_path: Path) -> None:
         run_experiments(ReproductionPlan(data), tmp_path, progress=quiet)
 
 
+@pytest.mark.parametrize("name", ["tune", "images"])
+def test_folders_of_something_else_stay(name: str, data: Path, tmp_path: Path) -> None:
+    """They have names of experiments, whose files would be overwritten there."""
+    (tmp_path / name).mkdir()
+    with pytest.raises(ValueError, match=f"{name}: expected nothing there but what `reproduce` has begun"):
+        run_experiments(ReproductionPlan(data), tmp_path, progress=quiet)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
 def test_a_resumed_run_was_as_busy_as_its_rows(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run-times that an interrupted call measured on a busy machine are no better after an idle one has gone on."""
     made = dict(stubs([]))

@@ -91,14 +91,15 @@ def run_experiments(
 
     Raises:
         FileNotFoundError: If there is no split `test`, or a given model is missing.
-        ValueError: If a model or the configuration cannot be used, or networks were trained for other epochs in `out`.
+        ValueError: If a model or the configuration cannot be used, networks were trained for other epochs in `out`, or
+            folders there are of something else.
         OSError: If something cannot be written.
     """
     plan.split("test")
     check_given(plan.models)
     Pipeline(plan.config.commanding())  # opens our model; an experiment that cannot would only have a reason
-    out.mkdir(parents=True, exist_ok=True)
-    state = read_json(out / STATE, State).root if (out / STATE).exists() else {}
+    _claim(out)
+    state = read_json(out / STATE, State).root
     known: dict[str, dict[str, Any]] = {name: each.model_dump(exclude_unset=True) for name, each in state.items()}
     begun = known.get("detector", {}).get("epochs", plan.epochs)
     if begun != plan.epochs:
@@ -121,6 +122,23 @@ def run_experiments(
             known[name] |= told | {"results": _results_digest(name, out)} | ({"key": ""} if told["reason"] else {})
             write_json_results(out / STATE, known)
     return {name: _outcome(name, plan, out, known[name]) for name in EXPERIMENTS}
+
+
+def _claim(out: Path) -> None:
+    """Makes the folder with its `STATE`, or checks that it has one, if it has folders with the experiments' names.
+
+    Raises:
+        ValueError: If such a folder is of something else.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    if (out / STATE).exists():
+        return
+    for name in (*EXPERIMENTS, "images"):
+        if (out / name).exists():
+            raise ValueError(
+                f"{out / name}: expected nothing there but what `reproduce` has begun; name another folder"
+            )
+    write_json_results(out / STATE, {})
 
 
 def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent: Parent) -> dict[str, Any]:
