@@ -24,7 +24,7 @@ from foreglow.beam.led_bounds import Lamps
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.photometry import read_headlamps
-from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Tracks, TrackState
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
 
 FRAME_S = 0.05
 FRAME_NS = 50_000_000
@@ -34,10 +34,17 @@ NUM_BEFORE = 30
 MOUNT = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.004, -0.008, 0.002))
 CAMERA = Camera(320, 240, (337.5, 337.5), (160.0, 122.5), (-0.07, 0.015, 1e-4, -2e-5, 0.0), MOUNT)
 """PVDN's, reduced to a quarter: most of the time would go into looking at images, which are not what is swept."""
-IMAGES = [
-    np.random.default_rng(seed).integers(5, 60, (24, 32), np.uint8).repeat(10, 0).repeat(10, 1)
-    for seed in range(NUM_RECENT + 1)  # so that none comes again soon
-]
+
+
+def _image(seed: int) -> Image:
+    """Squares of noise, and a light that is elsewhere for each seed."""
+    image = np.random.default_rng(seed).integers(5, 60, (24, 32), np.uint8).repeat(10, 0).repeat(10, 1)
+    column = 20 + 90 * seed % 250
+    image[100:120, column : column + 32] = 200
+    return image
+
+
+IMAGES = [_image(seed) for seed in range(2 * NUM_RECENT + 2)]  # so many that none comes again soon
 
 EXCESS = 1.02
 """A limit may be exceeded by so much: the guard's table has steps of 0.2 degrees; LEDs may be brighter in between."""

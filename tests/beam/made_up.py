@@ -61,11 +61,14 @@ CAMERA = camera()
 
 
 def noisy_image(seed: int) -> Image:
-    """A dark image of noise."""
-    return np.random.default_rng(seed).integers(5, 60, (960, 1280), np.uint8)
+    """A dark image of noise, with a light that is elsewhere for each seed."""
+    image = np.random.default_rng(seed).integers(5, 60, (960, 1280), np.uint8)
+    column = 100 + 370 * seed % 1000
+    image[400:480, column : column + 80] = 200
+    return image
 
 
-IMAGES = [noisy_image(seed) for seed in range(NUM_RECENT + 1)]
+IMAGES = [noisy_image(seed) for seed in range(2 * NUM_RECENT + 2)]
 
 
 def frame_at(

@@ -81,6 +81,52 @@ def test_a_part_filled_with_one_value(drive: list[Image], width: float, value: i
     assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize("coding", CODINGS)
+@pytest.mark.parametrize(("level", "noise"), [(8, 3.0), (16, 1.5), (16, 3.0), (60, 2.0)])
+def test_a_covered_lens_whatever_its_black_is(drive: list[Image], level: int, noise: float, coding: str) -> None:
+    rng = np.random.default_rng(3)
+    covered = [rng.normal(level, noise, drive[0].shape).clip(0, 255).astype(np.uint8) for _ in range(NUM_WRONG)]
+    faults = faults_of(as_coded([*drive[:NUM_GOOD], *covered], CODINGS[coding]), is_moving=None)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.BLACK in found for found in faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("coding", ["raw", "MJPEG"])
+@pytest.mark.parametrize("picture", ["frozen", "test pattern", "none"])
+@pytest.mark.parametrize("noise", [2.0, 5.0])
+def test_nothing_but_the_noise_changes(drive: list[Image], picture: str, noise: float, coding: str) -> None:
+    rng = np.random.default_rng(3)
+    bars = np.tile(np.linspace(16, 235, 8).repeat(60), (320, 1))
+    still = {"frozen": drive[NUM_GOOD - 1], "test pattern": bars, "none": np.full((320, 480), 90.0)}[picture]
+    later = [rng.normal(still, noise).clip(0, 255).astype(np.uint8) for _ in range(NUM_WRONG)]
+    faults = faults_of(as_coded([*drive[:NUM_GOOD], *later], CODINGS[coding]))
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + 1 :])
+
+
+def test_a_car_that_stands_sees_nothing_but_noise(drive: list[Image]) -> None:
+    assert not any(faults_of(with_noise([drive[0]] * 40), is_moving=False))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_half_image_that_is_stuck(drive: list[Image], first: int) -> None:
+    """Every other row, as where one field of an interlaced camera comes no more."""
+    images = with_noise(drive)
+    for image in images[NUM_GOOD:]:
+        image[first::2] = images[NUM_GOOD - 1][first::2]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
+
+
+def test_an_old_image_between_new_ones(drive: list[Image]) -> None:
+    images = with_noise(drive)
+    images[NUM_GOOD + 1 :: 2] = [images[NUM_GOOD - 1]] * len(images[NUM_GOOD + 1 :: 2])
+    faults = faults_of(images)
+    assert not any(faults[: NUM_GOOD + 1])
+    assert all(GuardFault.FROZEN in found for found in faults[NUM_GOOD + 1 :: 2])
+
+
 @pytest.fixture(scope="module")
 def small_camera() -> list[Image]:
     """The drive that ships, 320x240."""

@@ -276,3 +276,20 @@ def test_what_a_plug_in_raises_is_told_on_one_line(tmp_path: Path, monkeypatch: 
     assert "ValueError: first line second line" in result.stdout
     assert "ValueError: first line second line" in result.stderr
     assert all("second line" not in line or "first line" in line for line in result.output.splitlines())
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("begins", ["threading.Thread", "multiprocessing.Process"])
+def test_what_a_plugin_has_begun_does_not_keep_the_process(begins: str, tmp_path: Path) -> None:
+    (tmp_path / "begins.py").write_text(f"""
+import multiprocessing, threading, time
+from foreglow.beam.policy import ForeglowPolicy
+
+def policy(config, headlamps):
+    {begins}(target=time.sleep, args=(120,)).start()
+    return ForeglowPolicy(config, headlamps)
+""")
+    (tmp_path / "begins.toml").write_text('[beam]\npolicy = "begins:policy"\n')
+    line = ["live", shipped_drive(), "--speed", "0", "--limit", "2", "--config", "begins.toml"]
+    command = [sys.executable, "-c", "from foreglow.cli import main; main()", *map(str, line)]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=60, check=False).returncode == 0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
+from foreglow.beam.image_pieces import ImagePieces
 from foreglow.config import GuardConfig
 from foreglow.types import Image
 
@@ -21,11 +22,16 @@ NUM_SAMPLES = 1200
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
 
-SUM_ROWS = 16
-"""One row of so many has a checksum by which it is known again."""
+SUM_ROWS = 17
+"""One row of so many has a checksum by which it is known again: an odd number, for the rows of both half images."""
 
 NEAR_TOP = 0.9
 """A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
+
+CONTRAST_SHARE = 0.5
+"""An image is black, too, whatever its black level is, if its pieces differ by no more than this share of `min_bright`.
+Measured, in shares of the greatest value: a covered lens with noise of 3 grey levels .02; the drive that ships at least
+.17, at a quarter of its light .07; two real videos of motorways .25."""
 
 NUM_RECENT = 18
 """Images that say what is usual; a second of them at the paper's rate."""
@@ -101,6 +107,7 @@ class CameraWatch:
     def __init__(self, config: GuardConfig) -> None:
         self._config = config
         self._comparer = ImageComparer()
+        self._pieces = ImagePieces()
         self._stillness = _Stillness(config.max_same_images)
         self._damage = _Damage()
         self.reset()
@@ -110,6 +117,7 @@ class CameraWatch:
         self._brightest = 0
         self._recent_rows: deque[NDArray[np.uint32]] = deque(maxlen=NUM_RECENT)
         self._comparer.reset()
+        self._pieces.reset()
         self._stillness.reset()
         self._damage.reset()
 
@@ -134,10 +142,14 @@ class CameraWatch:
         white = self._config.white_level
         num_white = np.count_nonzero(sample >= (NEAR_TOP * top if white is None else white))
         is_saturated = num_white > self._config.max_saturated * sample.size
+        rows = image[::SUM_ROWS]
+        contrast, is_noise = self._pieces.update(rows, white or top)
         is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
+        is_black |= not is_saturated and contrast <= CONTRAST_SHARE * self._config.min_bright
         change = self._comparer.compare(image)
-        known_rows, is_repeated = self._known_rows(image[::SUM_ROWS])
-        if self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated):
+        known_rows, is_repeated, is_back = self._known_rows(rows)
+        is_frozen = self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated)
+        if is_frozen or (is_noise and is_moving) or (is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
@@ -151,18 +163,23 @@ class CameraWatch:
             faults.append(GuardFault.BLACK)
         return faults
 
-    def _known_rows(self, rows: Image) -> tuple[float, bool]:
-        """Share of rows that recent images had, without those of a single value, and whether one image had all."""
+    def _known_rows(self, rows: Image) -> tuple[float, bool, bool]:
+        """Share of rows that recent images had, without those of a single value; whether one image had all rows.
+
+        Thirdly, whether such an image comes again after others.
+        """
         sums = np.array([zlib.crc32(row.tobytes()) for row in rows], np.uint32)
         alike = [sums == recent for recent in self._recent_rows if recent.shape == sums.shape]
         self._recent_rows.append(sums)
         if not alike:
-            return 0.0, False
+            return 0.0, False, False
         known = rows[np.logical_or.reduce(alike)]
         if not len(known):
-            return 0.0, False
+            return 0.0, False, False
         share = np.count_nonzero(known.min(axis=1) < known.max(axis=1)) / len(rows)
-        return share, any(each.all() for each in alike)
+        is_repeated = any(each.all() for each in alike)
+        is_back = is_repeated and share > KNOWN_ROWS_SHARE and not alike[-1].all()
+        return share, is_repeated, bool(is_back)
 
 
 class _Stillness:

@@ -21,7 +21,7 @@ class GuardFault(StrEnum):
     SATURATED = "image_saturated"
     """Too many pixels are as bright as the format allows."""
     BLACK = "image_black"
-    """No pixel is bright."""
+    """No pixel is bright, or all of the image is equally bright, as where the lens is covered."""
     NO_CAMERA = "no_camera"
     """There is no calibration, so no light has a direction."""
     NO_SPEED = "speed_unknown"

@@ -138,8 +138,20 @@ def _is_closed(descriptor: int) -> bool:
 
 
 def end_despite_hanging(code: object) -> None:
-    """Ends the process now if a thread of the live loop hangs, for it would abort the interpreter on its way out."""
-    if any(thread.name.startswith("live ") for thread in threading.enumerate()):
+    """Ends the process now if something of it hangs, for which the interpreter would wait, or of which it would abort.
+
+    That is a thread of the live loop, or a thread, or a process of `multiprocessing`, that a plug-in began and that has
+    not ended within `PATIENCE_S`. Such processes are ended, too.
+    """
+    deadline_s = time.monotonic() + PATIENCE_S
+    threads = [each for each in threading.enumerate() if each is not threading.main_thread()]
+    children = sys.modules["multiprocessing"].active_children() if "multiprocessing" in sys.modules else []
+    awaited = [each for each in (*threads, *children) if not each.daemon]
+    for each in awaited:
+        each.join(max(0.0, deadline_s - time.monotonic()))
+    if any(thread.name.startswith("live ") for thread in threads) or any(each.is_alive() for each in awaited):
+        for child in children:
+            child.kill()
         with contextlib.suppress(OSError, ValueError):
             sys.stdout.flush()
             sys.stderr.flush()

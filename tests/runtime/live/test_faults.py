@@ -135,6 +135,72 @@ def test_bus_that_fails_for_a_while(drive: list[Frame]) -> None:
     assert summary.run.num_frames == 60
 
 
+def test_light_comes_back_slowly_when_the_bus_does(drive: list[Frame]) -> None:
+    class Failing(Lamps):
+        def send(self, command: Any) -> None:
+            if drive[BEGIN].timestamp_ns <= command.timestamp_ns < drive[END].timestamp_ns:
+                raise OSError("can0: buffer full")
+            super().send(command)
+
+    _, lamps = run_live(ScriptedCamera(drive[:60]), live_config(), lamps=Failing())
+    commands = lamps.of_frames()
+    assert commands[drive[BEGIN - 1].timestamp_ns].levels.max() == 1.0
+    first = commands[drive[END].timestamp_ns]
+    assert (first.mode, first.faults) == (BeamMode.LOW, (LiveFault.BUS,))
+    assert 0.0 < commands[drive[END + 1].timestamp_ns].levels.max() < 0.2
+    assert commands[drive[END + 12].timestamp_ns].levels.max() == 1.0
+
+
+def test_bus_whose_driver_hangs(drive: list[Frame]) -> None:
+    is_over = threading.Event()
+
+    class Hanging(Lamps):
+        def send(self, command: Any) -> None:
+            if command.timestamp_ns == drive[BEGIN].timestamp_ns:
+                is_over.wait(60.0)
+            super().send(command)
+
+    class Ending(Keeper):
+        """Has the driver go on after a while."""
+
+        def write(self, frame: Frame, result: Any) -> None:
+            super().write(frame, result)
+            if frame.timestamp_ns == drive[END].timestamp_ns:
+                is_over.set()
+
+    source = ScriptedCamera(drive[:60], is_live=True)
+    hanging, second = Hanging(), Lamps()
+    configuration, keeper = live_config(), Ending()
+    make, outputs = (lambda: Pipeline(configuration)), [hanging, second]
+    summary = LiveLoop(source, make, configuration, outputs=outputs, sinks=[keeper]).run()
+    event = next(event for event in summary.faults if event.fault == LiveFault.BUS)
+    assert event.detail == "Hanging takes longer than 0.2 s"
+    assert event.until_ns is not None
+    during = [one for one in second.commands if LiveFault.BUS in one.faults]
+    assert len(during) >= 3
+    assert all(one.mode == BeamMode.LOW for one in during)
+    assert hanging.is_low[-1]
+    assert not any(thread.name.startswith("live ") for thread in threading.enumerate())
+
+
+def test_bus_whose_driver_never_comes_back_does_not_keep_the_loop(drive: list[Frame]) -> None:
+    is_over = threading.Event()
+
+    class Hanging(Lamps):
+        def send(self, command: Any) -> None:  # noqa: ARG002
+            is_over.wait(60.0)
+
+        def close(self) -> None:
+            raise AssertionError("closed from another thread while it sends")
+
+    try:
+        source = ScriptedCamera(drive[:5], is_live=True)
+        summary, _ = run_live(source, live_config(), lamps=Hanging())
+    finally:
+        is_over.set()
+    assert LiveFault.BUS in summary.fault_counts
+
+
 @pytest.mark.parametrize("method", ["send", "close"])
 def test_bus_whose_driver_raises_what_it_likes(method: str, drive: list[Frame]) -> None:
     class Broken(Lamps):

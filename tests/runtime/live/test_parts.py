@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from foreglow.config import LiveConfig
+from foreglow.runtime.health import Health
 from foreglow.runtime.live.background import NUM_WAITING, Background
 from foreglow.runtime.live.faults import MAX_EVENTS, FaultBook
 from foreglow.runtime.live.loop import SWITCH_S, quick_switching
@@ -219,6 +220,19 @@ def ended(sink: Keeper) -> Background:
         background.write(frame, result_of(frame, []))
     background.close()
     return background
+
+
+def test_reports_of_health_never_wait() -> None:
+    sink = Blocked()
+    background = Background(sink, is_lossless=True)
+    (frame,) = night_frames(1)
+    background.write(frame, result_of(frame, []))
+    health = Health(0, (), 0, 0, 0, None)
+    for _ in range(NUM_WAITING + 2):
+        background.write_health(health)
+    sink.released.set()
+    background.close()
+    assert len(sink.results) == 1
 
 
 def test_sink_that_is_stuck_is_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -68,6 +69,24 @@ def test_broken_frames_are_passed_over(tmp_path: Path, buses: tuple[VehicleBus, 
     until(lambda: bus.num_broken == 1)
     sender.send(message)
     until(lambda: not bus.log.is_empty)
+
+
+def test_a_bus_whose_driver_hangs_does_not_keep_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    is_over = threading.Event()
+
+    class Hanging:
+        def recv(self, _: float) -> None:
+            is_over.wait(60.0)
+
+        def shutdown(self) -> None:
+            pass
+
+    monkeypatch.setattr("foreglow.runtime.live.vehicle_bus.open_bus", lambda _: Hanging())
+    monkeypatch.setattr("foreglow.runtime.live.vehicle_bus.HANGING_S", 0.1)
+    bus = VehicleBus("can9")
+    bus.close()
+    assert any(thread.name.startswith("live ") for thread in threading.enumerate())
+    is_over.set()
 
 
 def test_old_values_are_forgotten() -> None:

@@ -27,6 +27,7 @@ from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, Receiver, make_ros_node
+from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
 from foreglow.runtime.ros2.stages import PipelineNode, Setting
@@ -207,3 +208,28 @@ def test_commands_go_onto_the_bus(frame: Frame) -> None:
             rclpy.shutdown()
         identifiers = {bus.recv(1.0).arbitration_id for _ in range(5)}
     assert set(LEVELS_IDS) < identifiers
+
+
+def test_a_bus_that_failed_is_told_to_the_guard() -> None:
+    """So that light comes back slowly when the bus does."""
+
+    class Bus:
+        is_broken = True
+
+        def send(self, _: BeamCommand) -> None:
+            if self.is_broken:
+                raise OSError("can0: buffer full")
+
+    bus: Any = Bus()
+    made = Bench(lambda: PipelineNode(Setting(preset("foreglow").commanding())))
+    try:
+        output, low = BeamOutput(made.node, preset("foreglow").commanding(), can=bus), BeamCommand.low(0, 80)
+        output.send(Header(0), low)
+        assert output.arrived() == output.arrived() == (LiveFault.BUS,)
+        bus.is_broken = False
+        output.send(Header(0), low)
+        assert output.arrived() == ()
+    finally:
+        made.node.close()
+        made.ros.destroy_node()
+        rclpy.shutdown()

@@ -2,7 +2,8 @@
 
 from foreglow.runs.summary_file import FaultEvent, LiveSummary
 from foreglow.runtime.live.faults import LiveFault
-from foreglow.runtime.live.loop import BeamOutput, LiveEndedError, LiveLoop
+from foreglow.runtime.live.loop import LiveEndedError, LiveLoop
+from foreglow.runtime.live.outlet import BeamOutput
 from foreglow.runtime.live.sources import ClosedLoop, LiveSource, Paced
 
 __all__ = [

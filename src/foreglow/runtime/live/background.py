@@ -50,12 +50,12 @@ class Background:
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Passes a frame on, or counts it as lost."""
-        if not self._put(lambda: self.sink.write(frame, result)):
+        if not self._put(lambda: self.sink.write(frame, result), is_waiting=self._is_lossless):
             self.num_lost += 1
 
     def write_health(self, health: Health) -> None:
         """Passes the health on, if there is room."""
-        self._put(lambda: self.sink.write_health(health))
+        self._put(lambda: self.sink.write_health(health), is_waiting=False)
 
     def close(self) -> None:
         """Waits until everything is written and the sink is closed, unless it is stuck."""
@@ -78,11 +78,11 @@ class Background:
         if self._thread.is_alive():
             self.error = self.error or TimeoutError(f"it has been stuck for {STUCK_S:g} s")
 
-    def _put(self, call: Callable[[], None]) -> bool:
+    def _put(self, call: Callable[[], None], *, is_waiting: bool) -> bool:
         if self.error is not None:
             return False
         try:
-            self._waiting.put(call, block=self._is_lossless)
+            self._waiting.put(call, block=is_waiting)
         except queue.Full:
             return False
         return True

@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
 
 from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
@@ -19,6 +18,7 @@ from foreglow.runtime.health import Health, LiveSink
 from foreglow.runtime.live.background import Background
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
+from foreglow.runtime.live.outlet import LIMIT_S, BeamOutput, Outlet
 from foreglow.runtime.live.sources import LiveSource
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
@@ -29,7 +29,7 @@ from foreglow.types import BeamCommand
 LIVE_FAULTS = frozenset(LiveFault)
 
 GUARD, BUS, SINKS = "guard", "bus", "sinks"
-"""Further origins of faults; unlike `CAMERA` and `STAGE` they do not cause low beam by themselves."""
+"""Further origins of faults. `BUS` causes low beam, too, so that light comes back slowly when the bus does."""
 
 MAX_HUNG = 3
 """When so many pipelines hang, each in a thread that cannot be ended, the program ends and has to be restarted."""
@@ -84,22 +84,6 @@ HEALTH_S = 1.0
 """Interval of health reports, besides those for changes of the faults."""
 
 
-class BeamOutput(Protocol):
-    """A connection to the lamps."""
-
-    def send(self, command: BeamCommand) -> None:
-        """Sends a command.
-
-        Raises:
-            OSError: If it cannot be sent now.
-        """
-        ...
-
-    def close(self) -> None:
-        """Ends the connection."""
-        ...
-
-
 class LiveLoop:
     """Runs a pipeline on frames in real time. Any fault is recorded and means low beam until its cause is over.
 
@@ -139,7 +123,7 @@ class LiveLoop:
         # With a lossless source, which waits for the computation, a slow machine is no fault.
         self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
-        self._book = FaultBook(source.now_ns, (CAMERA, STAGE))
+        self._book = FaultBook(source.now_ns, (CAMERA, STAGE, BUS))
         self._mailbox = Mailbox(is_lossless=source.is_lossless)
         self._sinks = [Background(sink, is_lossless=source.is_lossless) for sink in sinks]
         self._tally = Tally()
@@ -178,6 +162,8 @@ class LiveLoop:
             speed=self._source.speed,
             max_silence_s=self._source.max_silence_s,
         )
+        limit_s = (self._source.max_silence_s or LIMIT_S) if self._source.is_lossless else LIMIT_S
+        self._outlets = [Outlet(output, limit_s) for output in self._outputs]
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
@@ -242,7 +228,7 @@ class LiveLoop:
             self._is_ended = True
             if self._beam is not None:
                 self._send(BeamCommand.low(self._source.now_ns(), self._num_leds))
-        errors = [error for output in self._outputs if (error := _failure(output.close))]
+        errors = [error for outlet in self._outlets if (error := outlet.close())]
         if errors:
             self._note_bus(errors)
         for sink in self._sinks:
@@ -361,7 +347,7 @@ class LiveLoop:
 
     def _send(self, command: BeamCommand) -> None:
         self._beam = command
-        self._note_bus([error for output in self._outputs if (error := _failure(output.send, command))])
+        self._note_bus([error for outlet in self._outlets if (error := outlet.send(command))])
 
     def _note_bus(self, errors: Sequence[str]) -> None:
         self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))
@@ -386,12 +372,3 @@ class LiveLoop:
         )
         for sink in self._sinks:
             sink.write_health(health)
-
-
-def _failure(call: Callable[..., None], *arguments: object) -> str:
-    """Why an output's method has failed, whatever its driver raises; empty if it has not."""
-    try:
-        call(*arguments)
-    except Exception as error:
-        return words_of(error) or type(error).__name__
-    return ""

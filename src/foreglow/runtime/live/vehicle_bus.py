@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from pathlib import Path
 
 from foreglow.datasets.vehicle_logs import CanDecoder, CanLog
 from foreglow.runtime.can_output import open_bus
+from foreglow.runtime.live.worker import THREADS
 
 KEEP_S = 10.0
 """Messages are kept for this long: older ones are of no use to any frame."""
 
 WAIT_S = 0.2
+
+HANGING_S = 2.0
+"""A driver that takes longer to end is left; the thread's name tells the program not to wait for it."""
 
 
 class VehicleBus:
@@ -41,7 +46,7 @@ class VehicleBus:
         self._bus = open_bus(channel)
         self.num_broken = 0
         self._is_closed = threading.Event()
-        self._thread = threading.Thread(target=self._listen, name="vehicle bus", daemon=True)
+        self._thread = threading.Thread(target=self._listen, name=f"{THREADS}vehicle bus", daemon=True)
         self._thread.start()
 
     @property
@@ -52,8 +57,7 @@ class VehicleBus:
     def close(self) -> None:
         """Stops listening."""
         self._is_closed.set()
-        self._thread.join()
-        self._bus.shutdown()
+        self._thread.join(HANGING_S)
 
     def _listen(self) -> None:
         """Receives frames until closed. When the bus fails, the speed becomes stale, which the guard notices."""
@@ -71,3 +75,5 @@ class VehicleBus:
                     self._decoder.take(time.monotonic_ns(), key, bytes(message.data), "bus")
                 except ValueError:
                     self.num_broken += 1
+        with contextlib.suppress(Exception):
+            self._bus.shutdown()

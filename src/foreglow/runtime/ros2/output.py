@@ -9,6 +9,7 @@ from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.live import LiveFault
+from foreglow.runtime.live.outlet import Outlet
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.node import INPUT_MISSING, FrameNode
@@ -42,14 +43,14 @@ class BeamOutput:
         self._publisher = node.publisher(topics.BEAM)
         self._faults = node.faults
         self._clock_ns = node.clock_ns
-        self._can = can
+        self._can = None if can is None else Outlet(can)
         self._frame_ns = round(1e9 / config.tracker.rate_hz)
         self._deadline_ns = round(DEADLINE_FRAMES * self._frame_ns if deadline_s is None else deadline_s * 1e9)
         self._due_ns = time.monotonic_ns() + self._deadline_ns
 
     def arrived(self) -> tuple[str, ...]:
         """Restarts the deadline, as input has come; the faults that this ends, which the guard needs to know."""
-        missed = (INPUT_MISSING,) if INPUT_MISSING in self._faults else ()
+        missed = tuple(fault for fault in (INPUT_MISSING, LiveFault.BUS) if fault in self._faults)
         self._faults.discard(INPUT_MISSING)
         self._due_ns = time.monotonic_ns() + self._deadline_ns
         return missed
@@ -77,10 +78,8 @@ class BeamOutput:
         if self._can is not None:
             self._can.close()
 
-    def _send_can(self, can: CanBus, command: BeamCommand) -> None:
-        try:
-            can.send(command)
-        except OSError:
+    def _send_can(self, can: Outlet, command: BeamCommand) -> None:
+        if can.send(command):
             self._faults.add(LiveFault.BUS)
         else:
             self._faults.discard(LiveFault.BUS)
