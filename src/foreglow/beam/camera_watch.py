@@ -118,6 +118,7 @@ class CameraWatch:
         self._recent_rows: deque[NDArray[np.uint32]] = deque(maxlen=NUM_RECENT)
         self._comparer.reset()
         self._pieces.reset()
+        self._was_noise = False
         self._stillness.reset()
         self._damage.reset()
 
@@ -149,7 +150,9 @@ class CameraWatch:
         change = self._comparer.compare(image)
         known_rows, is_repeated, is_back = self._known_rows(rows)
         is_frozen = self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated)
-        if is_frozen or (is_noise and is_moving) or (is_back and is_moving is not False):
+        is_feigned = is_noise and self._was_noise and is_moving is True
+        self._was_noise = is_noise
+        if is_frozen or is_feigned or (is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
