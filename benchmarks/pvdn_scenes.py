@@ -33,7 +33,7 @@ SNOW_STREAM, DRY_STREAM = 77, 78
 def snowfall(number: int) -> Scene:
     """A drive on a wet road through a wood in snowfall, with snow on the verges and on our own lamps."""
     draw = Draw(number, SNOW_STREAM)
-    speed_mps = draw.uniform(12.0, 21.0)
+    speed_mps = draw.uniform(12.0, 17.0)
     focus_m = START_M + 3.0 * speed_mps + draw.uniform(50.0, 140.0)
     kind = draw.choice(["crest", "bend", "straight"])
     rise_m = draw.uniform(1.5, 3.5) if kind == "crest" else draw.uniform(-1.5, 3.0)
@@ -79,27 +79,27 @@ def snowfall(number: int) -> Scene:
             signs=(sign,) if draw.chance(0.5) else (),
             delineator_spacing_m=draw.choice([25.0, 50.0]),
         ),
-        vehicles=_oncoming(draw, speed_mps) if draw.chance(0.6) else (),
+        vehicles=_oncoming(draw, speed_mps) if draw.chance(0.85) else (),
         ego=EgoSpec(
             timetable=((0.0, START_M), (10.0, START_M + 10.0 * speed_mps)),
-            brightness=draw.log_uniform(0.2, 0.32),
-            stray=draw.log_uniform(14.0, 20.0),
-            yaw_aim_deg=draw.normal(0.8, 0.4),
+            brightness=draw.log_uniform(0.18, 0.26),
+            stray=draw.log_uniform(30.0, 45.0),
+            yaw_aim_deg=draw.normal(4.0, 0.4),
             pitch_aim_deg=draw.normal(0.1, 0.2),
         ),
         weather=WeatherSpec(
-            scattering_per_m=draw.log_uniform(6e-4, 1.5e-3),
-            asymmetry=0.2,
-            snow_mm_h=draw.log_uniform(0.5, 2.0),
+            scattering_per_m=draw.log_uniform(3e-3, 6e-3),
+            asymmetry=0.6,
+            snow_mm_h=draw.log_uniform(0.8, 3.0),
             sky_cd_m2=draw.log_uniform(2e-2, 4e-2),
         ),
-        camera=draw_camera(draw),
+        camera=draw_camera(draw).model_copy(update={"pitch_deg": draw.normal(1.2, 0.4)}),
         sensor=draw_sensor(draw).model_copy(
             update={
                 "grey_per_cd_m2": 50.0,
-                "night_gain": draw.log_uniform(8.5, 10.5),
+                "night_gain": draw.log_uniform(7.5, 9.5),
                 "black_level": draw.normal(8.5, 0.5),
-                "column_noise": draw.uniform(0.75, 0.95),
+                "column_noise": draw.uniform(0.6, 0.75),
             }
         ),
     )
@@ -117,6 +117,8 @@ def dry_bend(number: int) -> Scene:
     wall_m = focus_m + draw.uniform(-30.0, 10.0)
     wall = Wall(side="left", span_m=(wall_m, wall_m + 60.0), offset_m=draw.uniform(2.0, 5.0), height_m=1.2)
     chevron = Sign(side="left", s_m=focus_m + draw.uniform(0.0, 30.0), kind="chevron_right", height_m=1.0, size_m=0.8)
+    # The black of three real frames, and of the lossless one.
+    black_grey = 7.6 if number % NUM_DAY == 0 else draw.normal(2.8, 0.2)
     verge = Verge(bank_m=draw.uniform(-0.5, 0.5), grass_per_m2=draw.uniform(10.0, 30.0))
     return Scene(
         name="dry_bend",
@@ -134,9 +136,13 @@ def dry_bend(number: int) -> Scene:
             signs=(chevron,),
         ),
         vehicles=_oncoming(draw, speed_mps) if draw.chance(0.5) else (),
-        ego=EgoSpec(timetable=((0.0, START_M), (10.0, START_M + 10.0 * speed_mps)), brightness=draw.uniform(0.9, 1.2)),
-        camera=draw_camera(draw),
-        sensor=draw_sensor(draw).model_copy(update={"grey_per_cd_m2": 50.0, "black_level": draw.normal(3.2, 0.3)}),
+        ego=EgoSpec(
+            timetable=((0.0, START_M), (10.0, START_M + 10.0 * speed_mps)),
+            brightness=draw.uniform(1.1, 1.4),
+            carpet=0.88,
+        ),
+        camera=draw_camera(draw).model_copy(update={"pitch_deg": draw.normal(1.2, 0.4)}),
+        sensor=draw_sensor(draw).model_copy(update={"grey_per_cd_m2": 50.0, "black_level": black_grey}),
     )
 
 
@@ -145,14 +151,14 @@ def _snowy_verge(draw: Draw, bank_m: float) -> Verge:
         bank_m=bank_m,
         bank_offset_m=draw.uniform(1.0, 2.5),
         ditch_m=draw.choice([0.0, 0.2]),
-        snow=draw.uniform(0.5, 0.95),
+        snow=draw.choice([1.0, 1.0, 0.9]),
         grass_per_m2=60.0,
     )
 
 
 def _oncoming(draw: Draw, speed_mps: float) -> tuple[VehicleSpec, ...]:
-    """A car that meets us five to ten seconds after the begin."""
-    meeting_s, other_mps = draw.uniform(5.0, 10.0), draw.uniform(14.0, 22.0)
+    """A car that meets us four to eight seconds after the begin."""
+    meeting_s, other_mps = draw.uniform(4.0, 8.0), draw.uniform(14.0, 22.0)
     begin_m = START_M + meeting_s * (speed_mps + other_mps)
     timetable = ((0.0, begin_m), (10.0, begin_m - 10.0 * other_mps))
     aim_deg = draw.normal(-0.3, 0.2)

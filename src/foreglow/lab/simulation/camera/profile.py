@@ -156,11 +156,15 @@ class CarSpec(SpecModel):
     reflection_cd_m2: NonNegative = 0.05
 
 
+SCENE_FIELDS = ("sensitivity", "late_gain", "grain_px", "row_noise")
+"""Fields of an imager that change a scene's own sensor."""
+
+
 class ImagerSpec(SpecModel):
     """The imager: light to numbers.
 
     Attributes:
-        model: `scene` is the scene's own sensor, PVDN's; `electrons` has the fields that follow `sensitivity`.
+        model: `scene` is the scene's own sensor, PVDN's, with `SCENE_FIELDS`; `electrons` has the fields after these.
         sensitivity: Of the scene's own sensor, times what the scene draws.
         late_gain: Amplification of what the response of the scene's own sensor gives, black included: the part of its
             gain that comes after the response. Light and noise in the linear part are as without it.
@@ -370,5 +374,5 @@ def profile_to_toml(profile: CameraProfile) -> str:
     """`profile` as TOML text with all its fields, which `read_profile` reads back equal; None is left out."""
     fields: dict[str, Any] = profile.model_dump(mode="json", exclude_none=True)
     if profile.imager.model == "scene":  # its other fields mean nothing
-        fields["imager"] = {"model": "scene", "sensitivity": profile.imager.sensitivity}
+        fields["imager"] = {name: fields["imager"][name] for name in ("model", *SCENE_FIELDS)}
     return tomli_w.dumps(fields)

@@ -36,16 +36,16 @@ SNOW_MIN_MM, RAIN_MIN_MM = 0.9, 1.0
 LARGE_FLAKE_MM = 1.9
 """Molten diameter from which on flakes are drawn further away, where smaller ones are too faint to be seen."""
 
-FLAKE_SWELLING = 2.5
+FLAKE_SWELLING = 3.5
 """Ratio of the diameters of a flake and its drop: flakes have some 6 % of the density of water."""
 
-FLAKE_SCATTERING_PER_SR = 0.045
+FLAKE_SCATTERING_PER_SR = 0.006
 """Intensity towards the lamp per illuminance and cross-section: that of a white Lambertian sphere, 2/3 of 0.85 / pi."""
 
 DROP_SCATTERING_PER_SR = 0.02
 """The same for a drop, which reflects little but its glints; similar to Mie calculations."""
 
-APERTURE_M = 4e-3
+APERTURE_M = 6e-3
 """Aperture of the lens, which is focused far away: near particles are blurred by this size."""
 
 BLURS_PX = (0.0, 1.0, 2.2)
@@ -234,9 +234,7 @@ class _Swarm:
         depths[is_inside] = np.nan_to_num(depth_m[pixels[is_inside, 1], pixels[is_inside, 0]], nan=np.inf)
         return depths
 
-    def _drawn(
-        self, between: tuple[Floats, Floats], fluxes: Floats, tumbling: Floats, spacing_px: float
-    ) -> Image:
+    def _drawn(self, between: tuple[Floats, Floats], fluxes: Floats, tumbling: Floats, spacing_px: float) -> Image:
         """Streaks, shape (H, W): each particle's flux, spread over the time from start to end.
 
         `tumbling` is that of the particles, with turns during the exposure.

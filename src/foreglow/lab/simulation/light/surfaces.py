@@ -51,8 +51,8 @@ ROUGH = tuple(
 )
 """Materials made of grains and holes, unlike paint, metal and glass."""
 
-SNOWY_BARK = (0.25, 0.35)
-"""Albedo and variation of bark to which snow sticks."""
+IN_SNOWFALL = {"bark": (0.25, 0.35), "snow": (0.2, 0.4)}
+"""Albedo and variation of materials while it is snowing: bark to which snow sticks, and thin snow on grass."""
 
 MARKING_WIDTH_M = 0.12
 EDGE_LINE_INSET_M = 0.2
@@ -111,7 +111,7 @@ class Surfaces:
     def __init__(self, road: RoadSpec, seed: int, *, is_snowing: bool = False) -> None:
         """The textures follow from `seed`; the road's state is passed to the kernels, not compiled into them.
 
-        While it is snowing, bark is white in patches, and the road is evenly wet.
+        While it is snowing, bark is white in patches, the snow beside the road is thin, and the road is evenly wet.
         """
         noise = _noise(np.random.default_rng([seed, 71]))
         self._noise = mi.Texture2f(
@@ -275,7 +275,8 @@ def _material_records(is_snowing: bool) -> NDArray[np.float32]:
     curvatures = np.array([CURVATURE_PER_M.get(material.name, 0.0) for material in MATERIALS], np.float32)
     records = np.stack([*(column(field) for field in fields), curvatures], -1)
     if is_snowing:
-        records[material_number("bark"), [0, 5]] = SNOWY_BARK
+        for name, changed in IN_SNOWFALL.items():
+            records[material_number(name), [0, 5]] = changed
     return records
 
 

@@ -202,7 +202,7 @@ class EgoSpec(SpecModel):
     beam: EgoBeam = "low"
     low_beam_file: str | None = None
     carpet: Annotated[float, Field(gt=0, le=1)] = 1.0
-    stray: Annotated[float, Field(ge=0, le=20)] = 1.0
+    stray: Annotated[float, Field(ge=0, le=100)] = 1.0
     brightness: Positive = 1.0
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
