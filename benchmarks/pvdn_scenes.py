@@ -82,7 +82,7 @@ def snowfall(number: int) -> Scene:
         vehicles=_oncoming(draw, speed_mps) if draw.chance(0.85) else (),
         ego=EgoSpec(
             timetable=((0.0, START_M), (10.0, START_M + 10.0 * speed_mps)),
-            brightness=draw.log_uniform(0.18, 0.26),
+            brightness=draw.log_uniform(0.2, 0.28),
             stray=draw.log_uniform(30.0, 45.0),
             yaw_aim_deg=draw.normal(4.0, 0.4),
             pitch_aim_deg=draw.normal(0.1, 0.2),
@@ -138,8 +138,8 @@ def dry_bend(number: int) -> Scene:
         vehicles=_oncoming(draw, speed_mps) if draw.chance(0.5) else (),
         ego=EgoSpec(
             timetable=((0.0, START_M), (10.0, START_M + 10.0 * speed_mps)),
-            brightness=draw.uniform(1.1, 1.4),
-            carpet=0.88,
+            brightness=draw.uniform(1.5, 1.8),
+            carpet=0.86,
         ),
         camera=draw_camera(draw).model_copy(update={"pitch_deg": draw.normal(1.2, 0.4)}),
         sensor=draw_sensor(draw).model_copy(update={"grey_per_cd_m2": 50.0, "black_level": black_grey}),

@@ -31,7 +31,7 @@ from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from benchmarks.timing import Contender
 from foreglow.config import PRESETS, ProposalConfig
-from foreglow.datasets import shipped_drive
+from foreglow.datasets import read_image, shipped_drive
 from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
 from tests.parallel.dask_cluster import SETTINGS
@@ -300,10 +300,10 @@ def test_the_key_of_a_sheet_says_where_the_real_images_are(tmp_path: Path) -> No
     camera_sheet.main([*sources, "--width=160", "--gamma=1", "--top=0.1", f"--out={tmp_path}"])
     key = json.loads((tmp_path / "key.json").read_text())
     assert set(key.values()) == {"left", "right"}
-    sheet = cv2.imread(str(tmp_path / "sheet.png"), cv2.IMREAD_GRAYSCALE)
+    sheet = read_image(tmp_path / "sheet.png")
     height, width = 81 + 2 * camera_sheet.BORDER_PX, 320 + 2 * camera_sheet.BORDER_PX
     for number, side in key.items():
-        pair = cv2.imread(str(tmp_path / f"pair_{int(number):02d}.png"), cv2.IMREAD_GRAYSCALE)
+        pair = read_image(tmp_path / f"pair_{int(number):02d}.png")
         assert (pair[:, :160] == {"left": 200, "right": 62}[side]).all()
         assert (pair[:, 160:] == {"left": 62, "right": 200}[side]).all()
         row, column = divmod(int(number) - 1, camera_sheet.PAIRS_PER_ROW)
@@ -312,7 +312,7 @@ def test_the_key_of_a_sheet_says_where_the_real_images_are(tmp_path: Path) -> No
 
 
 def test_a_sheet_pairs_frames_of_one_group() -> None:
-    groups = [[[np.full((9, 16), kind + 10 * side, np.uint8)] * 3 for side in (0, 1)] for kind in (1, 2)]
+    groups = [([np.full((9, 16), kind, np.uint8)] * 3, [np.full((9, 16), kind + 10, np.uint8)] * 3) for kind in (1, 2)]
     pairs = camera_sheet.drawn_pairs(groups, seed=1)
     assert [simulated[0, 0] - real[0, 0] for real, simulated in pairs] == [10] * 6
     with pytest.raises(SystemExit):

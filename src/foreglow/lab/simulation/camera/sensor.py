@@ -119,8 +119,8 @@ class Sensor:
         if self._grain_px == 0:
             return np.asarray(cv2.filter2D(white, -1, DEMOSAICING, borderType=cv2.BORDER_REFLECT))
         size = 2 * int(np.ceil(3.0 * self._grain_px)) + 1
-        kernel = cv2.getGaussianKernel(size, self._grain_px, cv2.CV_32F)
-        kernel /= np.linalg.norm(kernel)
+        kernel = np.asarray(cv2.getGaussianKernel(size, self._grain_px, cv2.CV_32F), np.float32)
+        kernel = kernel / np.linalg.norm(kernel)
         return np.asarray(cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT))
 
     def _response(self, signal: Image) -> Image:

@@ -37,10 +37,12 @@ LARGE_FLAKE_MM = 1.9
 """Molten diameter from which on flakes are drawn further away, where smaller ones are too faint to be seen."""
 
 FLAKE_SWELLING = 3.5
-"""Ratio of the diameters of a flake and its drop: flakes have some 6 % of the density of water."""
+"""Ratio of the diameters of a flake and its drop: large flakes have some 2 % of the density of water."""
 
-FLAKE_SCATTERING_PER_SR = 0.006
-"""Intensity towards the lamp per illuminance and cross-section: that of a white Lambertian sphere, 2/3 of 0.85 / pi."""
+FLAKE_SCATTERING_PER_SR = 0.0045
+"""Intensity towards the lamp per illuminance and cross-section, by which streaks stand out from a wet road as in real
+frames: a fortieth of that of a white Lambertian sphere, since flakes are mostly gaps.
+"""
 
 DROP_SCATTERING_PER_SR = 0.02
 """The same for a drop, which reflects little but its glints; similar to Mie calculations."""
@@ -82,13 +84,17 @@ class _Particles:
 
 
 class FallingParticles:
-    """The rain and snow of a drive: swarms of drops, of small flakes near us, and of large ones further away."""
+    """The rain and snow of a drive.
+
+    Attributes:
+        swarms: Small flakes near us, large ones further away, and drops.
+    """
 
     def __init__(self, weather: WeatherSpec, camera: Camera, seed: int) -> None:
         rng = np.random.default_rng([seed, PARTICLES_STREAM])
         snow, rain = _gunn_marshall(weather.snow_mm_h), _marshall_palmer(weather.rain_mm_h)
         self._camera = camera
-        self._swarms = [
+        self.swarms = [
             _Swarm(camera, snow, (SNOW_MIN_MM, LARGE_FLAKE_MM), rng, is_snow=True),
             _Swarm(camera, snow, (LARGE_FLAKE_MM, np.inf), rng, is_snow=True),
             _Swarm(camera, rain, (RAIN_MIN_MM, np.inf), rng, is_snow=False),
@@ -112,13 +118,18 @@ class FallingParticles:
             depth_m: Shape (H, W), along each pixel's ray; particles behind it are hidden. None hides nothing.
         """
         image = np.zeros((self._camera.height_px, self._camera.width_px), np.float32)
-        for swarm in self._swarms:
+        for swarm in self.swarms:
             swarm.draw(image, (time_s, exposure_s), world_from_camera, lamps, depth_m)
         return image
 
 
 class _Swarm:
-    """Particles of one kind, of diameters between two limits."""
+    """Particles of one kind, of diameters between two limits.
+
+    Attributes:
+        particles: They repeat like tiles.
+        range_m: Up to which they are drawn.
+    """
 
     def __init__(
         self,
@@ -140,12 +151,12 @@ class _Swarm:
         half_width = 0.5 * camera.width_px / camera.focal_px[0]
         half_height = 0.5 * camera.height_px / camera.focal_px[1]
         in_view_per_m3 = 4.0 / 3.0 * half_width * half_height  # volume of the pyramid of range 1
-        self._range_m = MAX_RANGE_M
+        self.range_m = MAX_RANGE_M
         if density_per_m3 > 0:
-            self._range_m = min(MAX_RANGE_M, (MAX_IN_VIEW / (in_view_per_m3 * density_per_m3)) ** (1.0 / 3.0))
+            self.range_m = min(MAX_RANGE_M, (MAX_IN_VIEW / (in_view_per_m3 * density_per_m3)) ** (1.0 / 3.0))
         # A tile contains the whole view for any yaw of the camera, with some room for its pitch.
-        across = 2.0 * float(np.hypot(0.5, half_width)) * self._range_m
-        self._tile_m = np.array([across, across, 2.3 * half_height * self._range_m])
+        across = 2.0 * float(np.hypot(0.5, half_width)) * self.range_m
+        self._tile_m = np.array([across, across, 2.3 * half_height * self.range_m])
         num = round(density_per_m3 * self._tile_m.prod())
         molten_mm = -np.log(rng.uniform(shares[1], shares[0], num)) / decay_per_mm
         diameters = 1e-3 * molten_mm * (FLAKE_SWELLING if is_snow else 1.0)
@@ -154,8 +165,8 @@ class _Swarm:
         drift_mps = rng.normal(0.0, 0.35 if is_snow else 0.1, (num, 2))
         scattering = FLAKE_SCATTERING_PER_SR if is_snow else DROP_SCATTERING_PER_SR
         depths = rng.uniform(0.0, MAX_TUMBLING if is_snow else 0.0, num)
-        turns_hz = np.exp(rng.uniform(*np.log(TUMBLING_HZ), num))
-        self._particles = _Particles(
+        turns_hz = np.exp(rng.uniform(np.log(TUMBLING_HZ[0]), np.log(TUMBLING_HZ[1]), num))
+        self.particles = _Particles(
             rng.uniform(0.0, 1.0, (num, 3)) * self._tile_m,
             np.column_stack([drift_mps, -fall_mps]),
             diameters,
@@ -172,13 +183,13 @@ class _Swarm:
         depth_m: Image | None,
     ) -> None:
         """Adds the particles to `image`; the rest as for `FallingParticles.luminance`."""
-        if not len(self._particles.diameters_m):
+        if not len(self.particles.diameters_m):
             return
         time_s, exposure_s = times_s
         opened, closed = world_from_camera
-        centre = opened.to_outer([0.5 * self._range_m, 0.0, 0.0])
-        velocities = self._particles.velocities_mps
-        wrapped = (self._particles.positions_m + velocities * time_s - centre) % self._tile_m
+        centre = opened.to_outer([0.5 * self.range_m, 0.0, 0.0])
+        velocities = self.particles.velocities_mps
+        wrapped = (self.particles.positions_m + velocities * time_s - centre) % self._tile_m
         worlds = wrapped - self._tile_m * np.round(wrapped / self._tile_m) + centre
         starts = opened.to_body(worlds)
         kept = np.flatnonzero(self._in_view(starts))
@@ -190,18 +201,18 @@ class _Swarm:
             return
         middles = 0.5 * (starts + ends)
         ranges = np.linalg.norm(middles, axis=1)
-        intensities = self._particles.cross_sections_m2_sr[kept] * self._illuminances_lx(middles, opened, lamps)
-        fading = np.clip((self._range_m - ranges) / (FADING_SHARE * self._range_m), 0.0, 1.0)
+        intensities = self.particles.cross_sections_m2_sr[kept] * self._illuminances_lx(middles, opened, lamps)
+        fading = np.clip((self.range_m - ranges) / (FADING_SHARE * self.range_m), 0.0, 1.0)
         fluxes = intensities * fading / (ranges**2 * self._camera.pixel_solid_angle_sr)
         if depth_m is not None:
             fluxes *= ranges < self._depths_m(middles, depth_m)
         scale = self._camera.width_px / REFERENCE_WIDTH_PX
-        sizes_px = np.hypot(self._particles.diameters_m[kept], APERTURE_M) * self._camera.focal_px[0] / ranges
+        sizes_px = np.hypot(self.particles.diameters_m[kept], APERTURE_M) * self._camera.focal_px[0] / ranges
         # A disc's standard deviation is a quarter of its diameter.
         sorts = np.searchsorted([0.6 * scale, 1.5 * scale], 0.25 * sizes_px)
         for sort, (blur_px, spacing_px) in enumerate(zip(BLURS_PX, SPACINGS_PX, strict=True)):
             chosen = np.flatnonzero((sorts == sort) & (fluxes > 0))
-            tumbling = self._particles.tumbling[kept[chosen]] * (1.0, exposure_s, 1.0)
+            tumbling = self.particles.tumbling[kept[chosen]] * (1.0, exposure_s, 1.0)
             layer = self._drawn((starts[chosen], ends[chosen]), fluxes[chosen], tumbling, spacing_px * scale)
             cv2.add(image, cv2.GaussianBlur(layer, (0, 0), blur_px * scale) if blur_px else layer, dst=image)
 
@@ -213,7 +224,7 @@ class _Swarm:
         half_height = 0.5 * self._camera.height_px / self._camera.focal_px[1]
         return np.asarray(
             (forward > MIN_RANGE_M)
-            & (forward < self._range_m)
+            & (forward < self.range_m)
             & (np.abs(points_camera[:, 1]) < margin * half_width)
             & (np.abs(points_camera[:, 2]) < margin * half_height)
         )
