@@ -54,6 +54,11 @@ ROUGH = tuple(
 IN_SNOWFALL = {"bark": (0.25, 0.35), "snow": (0.2, 0.4)}
 """Albedo and variation of materials while it is snowing: bark to which snow sticks, and thin snow on grass."""
 
+COUNTRY_REFLECTOR = 400.0
+"""Retroreflection of reflectors on roads of two lanes, by which they flare as in PVDN's frames; motorways, which were
+compared with clips, keep that of the material.
+"""
+
 MARKING_WIDTH_M = 0.12
 EDGE_LINE_INSET_M = 0.2
 DASH_M, DASH_PERIOD_M = 4.0, 12.0
@@ -117,7 +122,7 @@ class Surfaces:
         self._noise = mi.Texture2f(
             mi.TensorXf(noise), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat, use_accel=False
         )
-        self._materials = mi.Float(_material_records(is_snowing).ravel())
+        self._materials = mi.Float(_material_records(road, is_snowing).ravel())
         values = {
             "lane_m": road.lane_width_m,
             "wear": road.wear,
@@ -269,11 +274,13 @@ def _noise(generator: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(smooth / smooth.std((0, 1)), np.float32)
 
 
-def _material_records(is_snowing: bool) -> NDArray[np.float32]:
+def _material_records(road: RoadSpec, is_snowing: bool) -> NDArray[np.float32]:
     """Eight floats of each material, shape (len(MATERIALS), 8)."""
     fields = ("albedo", "specular", "roughness", "transmission", "retroreflection", "variation", "bump")
     curvatures = np.array([CURVATURE_PER_M.get(material.name, 0.0) for material in MATERIALS], np.float32)
     records = np.stack([*(column(field) for field in fields), curvatures], -1)
+    if not has_several_lanes(road):
+        records[material_number("reflector"), fields.index("retroreflection")] = COUNTRY_REFLECTOR
     if is_snowing:
         for name, changed in IN_SNOWFALL.items():
             records[material_number(name), [0, 5]] = changed

@@ -51,7 +51,7 @@ MATERIALS: tuple[Material, ...] = (
     Material("rail", "rail", 0.30, 0.30, 0.4, variation=0.1),
     Material("post", "sign", 0.55, 0.04, 0.3),
     Material("metal_post", "rail", 0.10, 0.12, 0.5),
-    Material("reflector", "sign", 0.30, 0.04, 0.2, retroreflection=400.0),
+    Material("reflector", "sign", 0.30, 0.04, 0.2, retroreflection=60.0),
     Material("sign_white", "sign", 0.45, 0.04, 0.35, retroreflection=120.0),
     Material("sign_colour", "sign", 0.15, 0.04, 0.35, retroreflection=30.0),
     Material("sign_black", "sign", 0.03, 0.04, 0.25),
