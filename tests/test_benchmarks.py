@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ from benchmarks import (
     distance,
     guard_sweep,
     lamps_in_proposals,
+    pvdn_scenes,
     ros2,
     scale,
     simulator,
@@ -29,7 +31,7 @@ from benchmarks.opencv_chain import OpenCvProposer, one_opencv_thread
 from benchmarks.synthetic_frames import night_frame
 from benchmarks.timing import Contender
 from foreglow.config import PRESETS, ProposalConfig
-from foreglow.datasets import shipped_drive
+from foreglow.datasets import read_image, shipped_drive
 from foreglow.lab.simulation import adapted, scenario
 from foreglow.proposals import NativeProposer, ReferenceProposer
 from tests.parallel.dask_cluster import SETTINGS
@@ -286,14 +288,39 @@ def test_halo_of_a_lamp_that_is_not_described(text: str, capsys: pytest.CaptureF
     assert "expected PROFILE=FILE[#FRAME]@X,Y[,APART]" in capsys.readouterr().err
 
 
-def test_the_key_of_a_sheet_says_where_the_real_images_are() -> None:
-    real, simulated = [np.full((9, 16), 200.0)] * 12, [np.full((9, 16), 50.0)] * 12
-    picture, key = camera_sheet.sheet(real, simulated, width_px=160, seed=3)
-    height, width = 90 + 2 * camera_sheet.BORDER_PX, 320 + 2 * camera_sheet.BORDER_PX
-    for number, side in enumerate(key):
-        row, column = divmod(number, camera_sheet.PAIRS_PER_ROW)
-        pair = picture[row * height : (row + 1) * height, column * width : (column + 1) * width]
-        middles = {"left": pair[70, 80], "right": pair[70, 260]}
-        assert middles[side] == 200
-        assert sorted(middles.values()) == [50, 200]
-    assert set(key) == {"left", "right"}
+def test_the_key_of_a_sheet_says_where_the_real_images_are(tmp_path: Path) -> None:
+    panels = np.full((3, 4, 90, 160), 200, np.uint8)
+    panels[:, :, :9] = 255  # as a text
+    cv2.imwrite(str(tmp_path / "real.png"), np.concatenate(np.concatenate(panels, 1), 1))
+    (tmp_path / "simulated").mkdir()
+    for number in range(12):
+        cv2.imwrite(str(tmp_path / "simulated" / f"{number:02d}.png"), np.full((180, 320), 25, np.uint8))
+    numbers = ",".join(str(number) for number in range(12))
+    sources = [f"{tmp_path}/real.png#3x4:{numbers}", f"{tmp_path}/simulated~90*2.5"]
+    camera_sheet.main([*sources, "--width=160", "--gamma=1", "--top=0.1", f"--out={tmp_path}"])
+    key = json.loads((tmp_path / "key.json").read_text())
+    assert set(key.values()) == {"left", "right"}
+    sheet = read_image(tmp_path / "sheet.png")
+    height, width = 81 + 2 * camera_sheet.BORDER_PX, 320 + 2 * camera_sheet.BORDER_PX
+    for number, side in key.items():
+        pair = read_image(tmp_path / f"pair_{int(number):02d}.png")
+        assert (pair[:, :160] == {"left": 200, "right": 62}[side]).all()
+        assert (pair[:, 160:] == {"left": 62, "right": 200}[side]).all()
+        row, column = divmod(int(number) - 1, camera_sheet.PAIRS_PER_ROW)
+        top, left = row * height + camera_sheet.BORDER_PX, column * width + camera_sheet.BORDER_PX
+        assert (sheet[top + 40 : top + 81, left : left + 320] == pair[40:]).all()  # below its number
+
+
+def test_a_sheet_pairs_frames_of_one_group() -> None:
+    groups = [([np.full((9, 16), kind, np.uint8)] * 3, [np.full((9, 16), kind + 10, np.uint8)] * 3) for kind in (1, 2)]
+    pairs = camera_sheet.drawn_pairs(groups, seed=1)
+    assert [simulated[0, 0] - real[0, 0] for real, simulated in pairs] == [10] * 6
+    with pytest.raises(SystemExit):
+        camera_sheet.main(["only one"])
+
+
+def test_scenes_like_the_real_frames_are_drawn_from_their_number() -> None:
+    for drawn in (pvdn_scenes.snowfall, pvdn_scenes.dry_bend):
+        assert drawn(3) == drawn(3)
+        assert drawn(3) != drawn(4)
+    assert {pvdn_scenes.snowfall(number).weather.snow_mm_h > 0 for number in range(20)} == {True}

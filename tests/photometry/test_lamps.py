@@ -47,6 +47,12 @@ def test_an_old_low_beam_meets_class_a_and_leaves_the_foreground_dark(point: tup
     assert at(old, 0.0, 1.0) == pytest.approx(at(low_beam(), 0.0, 1.0), rel=1e-3)  # the same above the cut-off
 
 
+def test_slush_on_a_lamp_scatters_light_above_the_cut_off() -> None:
+    clean, dirty = low_beam(), low_beam(stray=5.0)
+    assert at(dirty, 0.0, 5.0) == pytest.approx(5.0 * at(clean, 0.0, 5.0), rel=0.01)
+    assert at(dirty, 1.15, -1.0) < 1.1 * at(clean, 1.15, -1.0)
+
+
 def test_low_beam_dazzles_nobody() -> None:
     """Zone III: above the horizon on the left, above the 15 degrees arm, at most 1 degree up, on the right."""
     table = low_beam()

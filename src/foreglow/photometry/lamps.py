@@ -36,18 +36,19 @@ FOREGROUND_DEG = 5.0
 """Depth below the cut-off at which the foreground of lamps with little wide light ends."""
 
 
-def low_beam(carpet: float = 1.0) -> IntensityTable:
+def low_beam(carpet: float = 1.0, stray: float = 1.0) -> IntensityTable:
     """The asymmetric European passing beam for right-hand traffic; one lamp, about 1,000 lm.
 
     Below the cut-off a hot spot, right of the kink, and a carpet of light 40 degrees wide; above it about 200 cd of
     stray light, which falls off slowly to the side. `carpet` is a factor on the wide light; below 1, the foreground
-    is darker, too: with 0.4, an old lamp of UN R112's class A, the road beside us and right before us is dark.
+    is darker, too: with 0.4, an old lamp of UN R112's class A, the road beside us and right before us is dark. `stray`
+    is a factor on the stray light: snow and slush on a lamp scatter several times as much light above the cut-off.
     """
-    return _low_beam(float(carpet))
+    return _low_beam(float(carpet), float(stray))
 
 
 @lru_cache(maxsize=16)
-def _low_beam(carpet: float) -> IntensityTable:
+def _low_beam(carpet: float, stray: float) -> IntensityTable:
     azimuths, elevations = np.meshgrid(HEADLAMP_AZIMUTHS_DEG, HEADLAMP_ELEVATIONS_DEG)
     right = -azimuths
     cut_off = CUT_OFF_DEG + CUT_OFF_SLOPE * np.clip(right, 0.0, CUT_OFF_ARM_DEG)
@@ -57,7 +58,7 @@ def _low_beam(carpet: float) -> IntensityTable:
     wide = 7_000.0 * carpet * np.exp(-0.5 * (right / 19.0) ** 2 - depth / (5.5 * np.sqrt(carpet)))
     foreground = np.exp(-(1.0 - carpet) * (depth / FOREGROUND_DEG) ** 2)
     is_below = 1.0 / (1.0 + np.exp(np.clip((elevations - cut_off) / CUT_OFF_WIDTH_DEG, -50.0, 50.0)))
-    return _headlamp((hot_spot + wide) * foreground * is_below + _stray_light(azimuths, elevations))
+    return _headlamp((hot_spot + wide) * foreground * is_below + stray * _stray_light(azimuths, elevations))
 
 
 @cache

@@ -162,7 +162,15 @@ class Moments:
         self._lights = FixedLights(self._world.lights)
         self._body_motion = BodyMotion(scene.seed, scene.ego.body_motion)
         mesh = self._world.mesh
-        self._renderer = Renderer(mesh, _body_meshes(scene), camera, settings, road=scene.road, seed=scene.seed)
+        self._renderer = Renderer(
+            mesh,
+            _body_meshes(scene),
+            camera,
+            settings,
+            road=scene.road,
+            seed=scene.seed,
+            is_snowing=scene.weather.snow_mm_h > 0,
+        )
         self._share_rays: Image | None = None
         self._particles = FallingParticles(scene.weather, camera, scene.seed)
         self._motion_blur = MotionBlur(camera)

@@ -133,3 +133,13 @@ def test_a_view_averages_the_light_of_its_pixels() -> None:
 def test_a_size_that_does_not_fit_the_rendering(profile: CameraProfile, message: str) -> None:
     with pytest.raises(ValueError, match=f"camera own: .*{message}|camera own: {message}"):
         View(profile, camera(160, 120))
+
+
+def test_a_late_gain_amplifies_black_and_highlights_but_not_the_linear_part() -> None:
+    profile = CameraProfile(name="own", imager=ImagerSpec(model="scene", late_gain=2.0, row_noise=1.5, grain_px=1.2))
+    before = SensorSpec()
+    after = profile.scene_sensor(before)
+    assert after.black_level == 2.0 * before.black_level
+    assert (after.knee, after.log_slope) == (2.0 * before.knee, 2.0 * before.log_slope)
+    assert (after.grey_per_cd_m2, after.read_noise) == (before.grey_per_cd_m2, before.read_noise)
+    assert (after.grain_px, after.row_noise) == (1.2, 1.5)

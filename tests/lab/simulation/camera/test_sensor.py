@@ -119,3 +119,34 @@ def test_capture_is_around_what_is_expected() -> None:
     image = SENSOR.capture(light, 0)
     assert image.dtype == np.uint8
     assert image.shape == (240, 320)
+
+
+def test_coarse_grain_has_the_same_variance_and_more_correlation() -> None:
+    full = camera(1280, 960)
+    seen = {}
+    for grain_px in (0.0, 1.25):
+        spec = SPEC.model_copy(update={"grain_px": grain_px, "read_noise": 6.0, "black_level": 60.0})
+        sensor = Sensor(spec, full, seed=5)
+        light = np.zeros((960, 1280), np.float32)
+        noise = np.subtract(sensor.capture(light, 1), sensor.capture(light, 2), dtype=np.float64) / 2.0**0.5
+        noise -= noise.mean()
+        seen[grain_px] = noise.std(), (noise[:, 1:] * noise[:, :-1]).mean() / noise.var()
+    assert seen[1.25][0] == pytest.approx(seen[0.0][0], rel=0.03)
+    assert seen[1.25][1] > seen[0.0][1] + 0.3
+
+
+def test_coarse_grain_is_averaged_away_less_in_small_images() -> None:
+    spec = SPEC.model_copy(update={"grain_px": 2.0, "row_noise": 0.0})
+    coarse, fine = (
+        Sensor(changed, camera(), seed=5).noise_grey(DARK)[0, 0]
+        for changed in (spec, spec.model_copy(update={"grain_px": 0.0}))
+    )
+    assert coarse > 1.5 * fine
+
+
+def test_rows_have_more_noise_in_common_where_asked() -> None:
+    def row_noise(factor: float) -> float:
+        sensor = Sensor(SPEC.model_copy(update={"row_noise": factor, "black_level": 60.0}), camera(), seed=5)
+        return float(np.subtract(sensor.capture(DARK, 1), sensor.capture(DARK, 2), dtype=np.float64).mean(1).std())
+
+    assert row_noise(10.0) > 5.0 * row_noise(1.0)

@@ -94,3 +94,18 @@ def test_surfaces_hide_what_is_behind() -> None:
     image = particles.luminance(0.5, 1e-4, poses, lamps(10.0), wall)
     assert image[:, :155].max() < 1e-3 < image[:, 165:].max()
     assert (drawn(snow=1.0, exposure_s=1e-4, speed_mps=0.0)[:, 165:] == image[:, 165:]).mean() > 0.99
+
+
+def test_large_flakes_are_seen_further_away_than_small_ones() -> None:
+    particles = FallingParticles(WeatherSpec(snow_mm_h=1.0), CAMERA, 1)
+    small, large, _ = (swarm.range_m for swarm in particles.swarms)
+    assert large > 1.5 * small
+
+
+def test_streaks_of_flakes_are_dashed_and_those_of_drops_are_not() -> None:
+    snow, rain = (
+        FallingParticles(weather, CAMERA, 1).swarms[number].particles.tumbling[:, 0]
+        for weather, number in ((WeatherSpec(snow_mm_h=1.0), 0), (WeatherSpec(rain_mm_h=1.0), 2))
+    )
+    assert 0.3 < snow.mean() < 0.6
+    assert not rain.any()

@@ -131,3 +131,16 @@ def test_every_drive_has_its_own_dirt() -> None:
     assert np.array_equal(first, again)
     assert abs(float(first[240, 400] / other[240, 400]) - 1.0) > 0.02
     assert np.isfinite(other).all()
+
+
+def test_bright_surfaces_have_streaks_where_asked() -> None:
+    streak = StreakSpec(share=0.05, num_arms=2, angle_deg=90, length_deg=1.0)
+    square = np.zeros((480, 640), np.float32)
+    square[238:242, 318:322] = flux() / 16
+    without = windscreen(LensSpec(streaks=(streak,))).spread(square)
+    optics = windscreen(LensSpec(streaks=(streak.model_copy(update={"of_surfaces": True}),)))
+    spread, drawn = optics.spread(square), optics.draw_points(lamp(320.0, 240.0))
+    assert float(spread.sum()) == pytest.approx(flux(), rel=0.02)
+    assert float(without.sum()) == pytest.approx(0.95 * flux(), rel=0.02)
+    for y in (200, 225, 255, 280):
+        assert spread[y, 300:340].sum() == pytest.approx(drawn[y, 300:340].sum(), rel=0.25)

@@ -110,6 +110,8 @@ def test_our_old_low_beam_has_less_wide_light() -> None:
     )
     assert new is low_beam()
     assert old is low_beam(0.4)
+    dirty = ego_tables(EgoSpec(stray=5.0), np.zeros((2, read_headlamps().num_leds)), read_headlamps())[0]
+    assert dirty is low_beam(1.0, 5.0)
 
 
 def test_drivers_sit_on_the_other_side_of_cars_for_left_hand_traffic() -> None:

@@ -94,6 +94,7 @@ class StreakSpec(SpecModel):
         angle_deg: Direction of the first one, anticlockwise from the right.
         length_deg: Length over which they fall to a third.
         width_deg: Their width.
+        of_surfaces: Whether bright surfaces, such as reflectors, have them as well as lamps.
     """
 
     share: Annotated[float, Field(ge=0, le=0.2)]
@@ -101,6 +102,7 @@ class StreakSpec(SpecModel):
     angle_deg: Direction = 0.0
     length_deg: Angle = 0.6
     width_deg: Angle = 0.06
+    of_surfaces: bool = False
 
 
 class LensSpec(SpecModel):
@@ -154,12 +156,20 @@ class CarSpec(SpecModel):
     reflection_cd_m2: NonNegative = 0.05
 
 
+SCENE_FIELDS = ("sensitivity", "late_gain", "grain_px", "row_noise")
+"""Fields of an imager that change a scene's own sensor."""
+
+
 class ImagerSpec(SpecModel):
     """The imager: light to numbers.
 
     Attributes:
-        model: `scene` is the scene's own sensor, PVDN's; `electrons` has the fields that follow `sensitivity`.
+        model: `scene` is the scene's own sensor, PVDN's, with `SCENE_FIELDS`; `electrons` has the fields after these.
         sensitivity: Of the scene's own sensor, times what the scene draws.
+        late_gain: Amplification of what the response of the scene's own sensor gives, black included: the part of its
+            gain that comes after the response. Light and noise in the linear part are as without it.
+        grain_px: Grain of the noise of the scene's own sensor, as `SensorSpec` has it.
+        row_noise: Factor on the noise of its rows.
         colour: `bayer` weighs red light as colour filters and luma do, and correlates noise; `mono` sees all alike.
         response_e: Electrons of a pixel for 1 cd/m² and one second.
         full_well_e: Electrons at which a pixel is full.
@@ -173,6 +183,9 @@ class ImagerSpec(SpecModel):
 
     model: Literal["scene", "electrons"] = "electrons"
     sensitivity: Positive = 1.0
+    late_gain: Annotated[float, Field(gt=0, le=10)] = 1.0
+    grain_px: Annotated[float, Field(ge=0, le=20)] = 0.0
+    row_noise: NonNegative = 1.0
     colour: Literal["mono", "bayer"] = "bayer"
     response_e: Positive = 8000.0
     full_well_e: Positive = 9000.0
@@ -305,8 +318,17 @@ class CameraProfile(SpecModel):
 
     def scene_sensor(self, sensor: SensorSpec) -> SensorSpec:
         """A scene's own `sensor` in the exposure of this profile."""
-        grey_per_cd_m2 = sensor.grey_per_cd_m2 * self.imager.sensitivity
-        return sensor.model_copy(update={"exposure": self.cycle, "grey_per_cd_m2": grey_per_cd_m2})
+        late_gain = self.imager.late_gain
+        changed: dict[str, object] = {
+            "exposure": self.cycle,
+            "grey_per_cd_m2": sensor.grey_per_cd_m2 * self.imager.sensitivity,
+            "black_level": sensor.black_level * late_gain,
+            "knee": sensor.knee * late_gain,
+            "log_slope": sensor.log_slope * late_gain,
+            "grain_px": self.imager.grain_px,
+            "row_noise": sensor.row_noise * self.imager.row_noise,
+        }
+        return sensor.model_copy(update=changed)
 
 
 PROFILES = tuple(
@@ -352,5 +374,5 @@ def profile_to_toml(profile: CameraProfile) -> str:
     """`profile` as TOML text with all its fields, which `read_profile` reads back equal; None is left out."""
     fields: dict[str, Any] = profile.model_dump(mode="json", exclude_none=True)
     if profile.imager.model == "scene":  # its other fields mean nothing
-        fields["imager"] = {"model": "scene", "sensitivity": profile.imager.sensitivity}
+        fields["imager"] = {name: fields["imager"][name] for name in ("model", *SCENE_FIELDS)}
     return tomli_w.dumps(fields)

@@ -72,6 +72,8 @@ class Sensor:
             # The part of the gain that the longer exposure does not provide is amplification, also of noise.
             self._analogue_gain = max(1.0, gain * spec.day_exposure_s / spec.night_exposure_s)
         self._binning = min(1.0, camera.width_px / REFERENCE_WIDTH_PX)
+        self._grain_px, self._averaging = _binned_grain(spec.grain_px, self._binning)
+        self._row_grey = ROW_GREY * self._analogue_gain * spec.row_noise
         self._grey_per_cd_m2 = self.optics.fall_off * np.float32(spec.grey_per_cd_m2 * gain)
         rng = np.random.default_rng([seed, PATTERN_STREAM])
         self.pattern_grey = self._pattern(rng)
@@ -98,22 +100,28 @@ class Sensor:
         """Standard deviation of the grey levels from frame to frame, shape (H, W), rounding included."""
         signal = luminance * self._grey_per_cd_m2
         slope = self.spec.log_slope / (self.spec.log_slope + np.maximum(signal - self.spec.knee, 0.0))
-        row = ROW_GREY * self._analogue_gain
+        row = self._row_grey
         return np.sqrt((slope * self._noise(signal)) ** 2 + (slope * row) ** 2 + QUANTISATION_GREY**2)
 
     def capture(self, luminance: Image, frame: int) -> NDArray[np.uint8]:
         """The image, shape (H, W), uint8, of the light on the pixels; the same frame number gives the same noise."""
         rng = np.random.default_rng([self._seed, NOISE_STREAM, frame])
         signal = luminance * self._uneven_grey_per_cd_m2
-        noise = cv2.filter2D(
-            rng.standard_normal(self._shape, np.float32), -1, DEMOSAICING, borderType=cv2.BORDER_REFLECT
-        )
-        signal += noise * self._noise(signal)
+        signal += self._correlated(rng.standard_normal(self._shape, np.float32)) * self._noise(signal)
         signal += self.pattern_grey
         rows = rng.standard_normal((self._shape[0], 1), np.float32)
-        signal += cv2.blur(rows, (1, 2)) * np.float32(2.0**0.5 * ROW_GREY * self._analogue_gain)
+        signal += cv2.blur(rows, (1, 2)) * np.float32(2.0**0.5 * self._row_grey)
         grey = self._response(signal)
         return np.asarray(np.clip(np.rint(grey, out=grey), 0.0, 255.0, out=grey), np.uint8)
+
+    def _correlated(self, white: Image) -> Image:
+        """White noise with the correlation of the sensor's, and the same variance."""
+        if self._grain_px == 0:
+            return np.asarray(cv2.filter2D(white, -1, DEMOSAICING, borderType=cv2.BORDER_REFLECT))
+        size = 2 * int(np.ceil(3.0 * self._grain_px)) + 1
+        kernel = np.asarray(cv2.getGaussianKernel(size, self._grain_px, cv2.CV_32F), np.float32)
+        kernel = kernel / np.linalg.norm(kernel)
+        return np.asarray(cv2.sepFilter2D(white, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT))
 
     def _response(self, signal: Image) -> Image:
         """The response: linear up to the knee, logarithmic above, with a continuous slope."""
@@ -129,7 +137,7 @@ class Sensor:
         read = self.spec.read_noise * self._analogue_gain
         variance = np.maximum(signal, 0.0) * np.float32(self.spec.shot_noise * self._analogue_gain)
         variance += np.float32(read**2)
-        return cv2.sqrt(variance) * np.float32(self._binning)
+        return cv2.sqrt(variance) * np.float32(self._averaging)
 
     def _pattern(self, rng: np.random.Generator) -> Image:
         """The fixed pattern in grey levels before the response: columns, shading, single pixels."""
@@ -149,6 +157,17 @@ class Sensor:
         pattern += cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC) * np.float32(UNEVEN_GREY)
         pattern += rng.standard_normal(self._shape, np.float32) * np.float32(DARK_SIGNAL_GREY * self._binning)
         return pattern
+
+
+def _binned_grain(grain_px: float, binning: float) -> tuple[float, float]:
+    """Grain in pixels that are binned, 1 / binning along either axis, and their noise relative to that of one.
+
+    Noise that is blurred by a Gaussian is averaged away by less than white noise.
+    """
+    if grain_px == 0:
+        return 0.0, binning
+    wider = binning**-2 - 1.0
+    return binning * (grain_px**2 + wider / 12.0) ** 0.5, (1.0 + wider / (12.0 * grain_px**2)) ** -0.5
 
 
 def _slow(rng: np.random.Generator, num: int) -> NDArray[np.float64]:

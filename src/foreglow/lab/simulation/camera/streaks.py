@@ -23,26 +23,31 @@ from foreglow.photometry import illuminance_lx
 PARTICLES_STREAM = 43
 """Number of the random stream."""
 
-MAX_RANGE_M = 14.0
+MAX_RANGE_M = 24.0
 MAX_IN_VIEW = 16_000
 """Largest number of particles in view; the range is shortened accordingly in heavy rain or snow."""
 
 MIN_RANGE_M = 0.6
 """Nearer particles would be on the windscreen."""
 
-SNOW_MIN_MM, RAIN_MIN_MM = 1.3, 1.0
+SNOW_MIN_MM, RAIN_MIN_MM = 0.9, 1.0
 """Smallest diameters, of the drop or the molten flake, that are drawn: smaller ones are not seen individually."""
 
-FLAKE_SWELLING = 2.5
-"""Ratio of the diameters of a flake and its drop: flakes have some 6 % of the density of water."""
+LARGE_FLAKE_MM = 1.9
+"""Molten diameter from which on flakes are drawn further away, where smaller ones are too faint to be seen."""
 
-FLAKE_SCATTERING_PER_SR = 0.18
-"""Intensity towards the lamp per illuminance and cross-section: that of a white Lambertian sphere, 2/3 of 0.85 / pi."""
+FLAKE_SWELLING = 3.5
+"""Ratio of the diameters of a flake and its drop: large flakes have some 2 % of the density of water."""
+
+FLAKE_SCATTERING_PER_SR = 0.0045
+"""Intensity towards the lamp per illuminance and cross-section, by which streaks stand out from a wet road as in real
+frames: a fortieth of that of a white Lambertian sphere, since flakes are mostly gaps.
+"""
 
 DROP_SCATTERING_PER_SR = 0.02
 """The same for a drop, which reflects little but its glints; similar to Mie calculations."""
 
-APERTURE_M = 4e-3
+APERTURE_M = 6e-3
 """Aperture of the lens, which is focused far away: near particles are blurred by this size."""
 
 BLURS_PX = (0.0, 1.0, 2.2)
@@ -57,57 +62,43 @@ MAX_POINTS = 128
 MIN_LUMINANCE_CD_M2 = 1e-4
 """Fainter streaks are left out: 0.1 grey levels of the long exposure."""
 
+TUMBLING_HZ, MAX_TUMBLING = (20.0, 250.0), 0.9
+"""Flakes turn as they fall, and so become brighter and darker by up to this share: streaks look dashed."""
+
 FADING_SHARE = 0.3
 """Last part of the range, over which particles fade in."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Particles:
-    """Positions in the tile at time 0 and velocities in the world, shape (N, 3), and properties, shape (N,)."""
+    """Positions in the tile at time 0 and velocities in the world, shape (N, 3), and properties, shape (N,).
+
+    `tumbling` has shape (N, 3): the share by which each becomes brighter and darker, how often a second, and the phase.
+    """
 
     positions_m: Floats
     velocities_mps: Floats
     diameters_m: Floats
     cross_sections_m2_sr: Floats
+    tumbling: Floats
 
 
 class FallingParticles:
-    """The rain and snow of a drive."""
+    """The rain and snow of a drive.
+
+    Attributes:
+        swarms: Small flakes near us, large ones further away, and drops.
+    """
 
     def __init__(self, weather: WeatherSpec, camera: Camera, seed: int) -> None:
-        self._camera = camera
-        snow_per_m3, snow_per_mm = _gunn_marshall(weather.snow_mm_h)
-        rain_per_m3, rain_per_mm = _marshall_palmer(weather.rain_mm_h)
-        half_width = 0.5 * camera.width_px / camera.focal_px[0]
-        half_height = 0.5 * camera.height_px / camera.focal_px[1]
-        in_view_per_m3 = 4.0 / 3.0 * half_width * half_height  # volume of the pyramid of range 1
-        density_per_m3 = snow_per_m3 + rain_per_m3
-        self._range_m = MAX_RANGE_M
-        if density_per_m3 > 0:
-            self._range_m = min(MAX_RANGE_M, (MAX_IN_VIEW / (in_view_per_m3 * density_per_m3)) ** (1.0 / 3.0))
-        # A tile contains the whole view for any yaw of the camera, with some room for its pitch.
-        across = 2.0 * float(np.hypot(0.5, half_width)) * self._range_m
-        self._tile_m = np.array([across, across, 2.3 * half_height * self._range_m])
         rng = np.random.default_rng([seed, PARTICLES_STREAM])
-        num_snow, num_rain = (round(density * self._tile_m.prod()) for density in (snow_per_m3, rain_per_m3))
-        molten_mm = np.concatenate(
-            [
-                SNOW_MIN_MM + rng.exponential(1.0 / snow_per_mm, num_snow),
-                RAIN_MIN_MM + rng.exponential(1.0 / rain_per_mm, num_rain),
-            ]
-        )
-        is_snow = np.arange(num_snow + num_rain) < num_snow
-        diameters = 1e-3 * molten_mm * np.where(is_snow, FLAKE_SWELLING, 1.0)
-        # Atlas et al. 1973 for drops; flakes of all sizes fall at about 1 m/s, and drift.
-        fall_mps = np.where(is_snow, rng.normal(1.0, 0.2, len(is_snow)), 9.65 - 10.3 * np.exp(-0.6 * molten_mm))
-        drift_mps = rng.normal(0.0, 1.0, (len(is_snow), 2)) * np.where(is_snow, 0.35, 0.1)[:, np.newaxis]
-        scattering = np.where(is_snow, FLAKE_SCATTERING_PER_SR, DROP_SCATTERING_PER_SR)
-        self._particles = _Particles(
-            rng.uniform(0.0, 1.0, (len(is_snow), 3)) * self._tile_m,
-            np.column_stack([drift_mps, -fall_mps]),
-            diameters,
-            scattering * np.pi / 4.0 * diameters**2,
-        )
+        snow, rain = _gunn_marshall(weather.snow_mm_h), _marshall_palmer(weather.rain_mm_h)
+        self._camera = camera
+        self.swarms = [
+            _Swarm(camera, snow, (SNOW_MIN_MM, LARGE_FLAKE_MM), rng, is_snow=True),
+            _Swarm(camera, snow, (LARGE_FLAKE_MM, np.inf), rng, is_snow=True),
+            _Swarm(camera, rain, (RAIN_MIN_MM, np.inf), rng, is_snow=False),
+        ]
 
     def luminance(
         self,
@@ -126,12 +117,79 @@ class FallingParticles:
             lamps: Our own lamps, which light the particles; there are no shadows.
             depth_m: Shape (H, W), along each pixel's ray; particles behind it are hidden. None hides nothing.
         """
-        height, width = self._camera.height_px, self._camera.width_px
-        image = np.zeros((height, width), np.float32)
+        image = np.zeros((self._camera.height_px, self._camera.width_px), np.float32)
+        for swarm in self.swarms:
+            swarm.draw(image, (time_s, exposure_s), world_from_camera, lamps, depth_m)
+        return image
+
+
+class _Swarm:
+    """Particles of one kind, of diameters between two limits.
+
+    Attributes:
+        particles: They repeat like tiles.
+        range_m: Up to which they are drawn.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        spectrum: tuple[float, float],
+        limits_mm: tuple[float, float],
+        rng: np.random.Generator,
+        *,
+        is_snow: bool,
+    ) -> None:
+        """Draws the particles of a `spectrum`: density per m³ and mm at 0, and its decay per mm.
+
+        Diameters are those of drops, or of molten flakes.
+        """
+        self._camera = camera
+        per_m3_mm, decay_per_mm = spectrum
+        shares = np.exp(-decay_per_mm * np.array(limits_mm))
+        density_per_m3 = per_m3_mm / decay_per_mm * float(shares[0] - shares[1])
+        half_width = 0.5 * camera.width_px / camera.focal_px[0]
+        half_height = 0.5 * camera.height_px / camera.focal_px[1]
+        in_view_per_m3 = 4.0 / 3.0 * half_width * half_height  # volume of the pyramid of range 1
+        self.range_m = MAX_RANGE_M
+        if density_per_m3 > 0:
+            self.range_m = min(MAX_RANGE_M, (MAX_IN_VIEW / (in_view_per_m3 * density_per_m3)) ** (1.0 / 3.0))
+        # A tile contains the whole view for any yaw of the camera, with some room for its pitch.
+        across = 2.0 * float(np.hypot(0.5, half_width)) * self.range_m
+        self._tile_m = np.array([across, across, 2.3 * half_height * self.range_m])
+        num = round(density_per_m3 * self._tile_m.prod())
+        molten_mm = -np.log(rng.uniform(shares[1], shares[0], num)) / decay_per_mm
+        diameters = 1e-3 * molten_mm * (FLAKE_SWELLING if is_snow else 1.0)
+        # Atlas et al. 1973 for drops; flakes of all sizes fall at about 1 m/s, and drift.
+        fall_mps = rng.normal(1.0, 0.2, num) if is_snow else 9.65 - 10.3 * np.exp(-0.6 * molten_mm)
+        drift_mps = rng.normal(0.0, 0.35 if is_snow else 0.1, (num, 2))
+        scattering = FLAKE_SCATTERING_PER_SR if is_snow else DROP_SCATTERING_PER_SR
+        depths = rng.uniform(0.0, MAX_TUMBLING if is_snow else 0.0, num)
+        turns_hz = np.exp(rng.uniform(np.log(TUMBLING_HZ[0]), np.log(TUMBLING_HZ[1]), num))
+        self.particles = _Particles(
+            rng.uniform(0.0, 1.0, (num, 3)) * self._tile_m,
+            np.column_stack([drift_mps, -fall_mps]),
+            diameters,
+            scattering * np.pi / 4.0 * diameters**2,
+            np.column_stack([depths, turns_hz, rng.uniform(0.0, 1.0, num)]),
+        )
+
+    def draw(
+        self,
+        image: Image,
+        times_s: tuple[float, float],
+        world_from_camera: tuple[Pose, Pose],
+        lamps: Sequence[PlacedLamp],
+        depth_m: Image | None,
+    ) -> None:
+        """Adds the particles to `image`; the rest as for `FallingParticles.luminance`."""
+        if not len(self.particles.diameters_m):
+            return
+        time_s, exposure_s = times_s
         opened, closed = world_from_camera
-        centre = opened.to_outer([0.5 * self._range_m, 0.0, 0.0])
-        velocities = self._particles.velocities_mps
-        wrapped = (self._particles.positions_m + velocities * time_s - centre) % self._tile_m
+        centre = opened.to_outer([0.5 * self.range_m, 0.0, 0.0])
+        velocities = self.particles.velocities_mps
+        wrapped = (self.particles.positions_m + velocities * time_s - centre) % self._tile_m
         worlds = wrapped - self._tile_m * np.round(wrapped / self._tile_m) + centre
         starts = opened.to_body(worlds)
         kept = np.flatnonzero(self._in_view(starts))
@@ -140,23 +198,23 @@ class FallingParticles:
         is_ahead = np.minimum(starts[:, 0], ends[:, 0]) > MIN_RANGE_M
         kept, starts, ends = kept[is_ahead], starts[is_ahead], ends[is_ahead]
         if not len(kept):
-            return image
+            return
         middles = 0.5 * (starts + ends)
         ranges = np.linalg.norm(middles, axis=1)
-        intensities = self._particles.cross_sections_m2_sr[kept] * self._illuminances_lx(middles, opened, lamps)
-        fading = np.clip((self._range_m - ranges) / (FADING_SHARE * self._range_m), 0.0, 1.0)
+        intensities = self.particles.cross_sections_m2_sr[kept] * self._illuminances_lx(middles, opened, lamps)
+        fading = np.clip((self.range_m - ranges) / (FADING_SHARE * self.range_m), 0.0, 1.0)
         fluxes = intensities * fading / (ranges**2 * self._camera.pixel_solid_angle_sr)
         if depth_m is not None:
             fluxes *= ranges < self._depths_m(middles, depth_m)
-        scale = width / REFERENCE_WIDTH_PX
-        sizes_px = np.hypot(self._particles.diameters_m[kept], APERTURE_M) * self._camera.focal_px[0] / ranges
+        scale = self._camera.width_px / REFERENCE_WIDTH_PX
+        sizes_px = np.hypot(self.particles.diameters_m[kept], APERTURE_M) * self._camera.focal_px[0] / ranges
         # A disc's standard deviation is a quarter of its diameter.
         sorts = np.searchsorted([0.6 * scale, 1.5 * scale], 0.25 * sizes_px)
         for sort, (blur_px, spacing_px) in enumerate(zip(BLURS_PX, SPACINGS_PX, strict=True)):
             chosen = np.flatnonzero((sorts == sort) & (fluxes > 0))
-            layer = self._drawn(starts[chosen], ends[chosen], fluxes[chosen], spacing_px * scale)
+            tumbling = self.particles.tumbling[kept[chosen]] * (1.0, exposure_s, 1.0)
+            layer = self._drawn((starts[chosen], ends[chosen]), fluxes[chosen], tumbling, spacing_px * scale)
             cv2.add(image, cv2.GaussianBlur(layer, (0, 0), blur_px * scale) if blur_px else layer, dst=image)
-        return image
 
     def _in_view(self, points_camera: Floats) -> NDArray[np.bool_]:
         """Whether the camera may see a point during the exposure; wider than its view, for streaks that enter it."""
@@ -166,7 +224,7 @@ class FallingParticles:
         half_height = 0.5 * self._camera.height_px / self._camera.focal_px[1]
         return np.asarray(
             (forward > MIN_RANGE_M)
-            & (forward < self._range_m)
+            & (forward < self.range_m)
             & (np.abs(points_camera[:, 1]) < margin * half_width)
             & (np.abs(points_camera[:, 2]) < margin * half_height)
         )
@@ -187,8 +245,12 @@ class FallingParticles:
         depths[is_inside] = np.nan_to_num(depth_m[pixels[is_inside, 1], pixels[is_inside, 0]], nan=np.inf)
         return depths
 
-    def _drawn(self, starts: Floats, ends: Floats, fluxes: Floats, spacing_px: float) -> Image:
-        """Streaks, shape (H, W): each particle's flux, spread evenly over the time from start to end."""
+    def _drawn(self, between: tuple[Floats, Floats], fluxes: Floats, tumbling: Floats, spacing_px: float) -> Image:
+        """Streaks, shape (H, W): each particle's flux, spread over the time from start to end.
+
+        `tumbling` is that of the particles, with turns during the exposure.
+        """
+        starts, ends = between
         height, width = self._camera.height_px, self._camera.width_px
         from_px, to_px = self._camera.project(starts), self._camera.project(ends)
         lengths = np.linalg.norm(to_px - from_px, axis=1)
@@ -197,6 +259,9 @@ class FallingParticles:
         streak = np.repeat(np.arange(len(seen)), nums)
         first = np.repeat(np.cumsum(nums) - nums, nums)
         shares = ((np.arange(len(streak)) - first + 0.5) / nums[streak]).astype(np.float32)
+        depths, turns, phases = tumbling[seen].astype(np.float32).T
+        weights = (fluxes[seen] / nums).astype(np.float32)[streak]
+        weights *= 1.0 + depths[streak] * np.cos(np.float32(2.0 * np.pi) * (phases[streak] + shares * turns[streak]))
         # Particles move faster through the image while they are near: points are evenly spaced in space, not along the
         # streak. The curvature of streaks by the lens's distortion is invisible.
         approach = (starts[seen, 0] / ends[seen, 0]).astype(np.float32)[streak]
@@ -208,7 +273,7 @@ class FallingParticles:
             for axis in (0, 1)
         )
         inside = np.flatnonzero((x >= 0) & (y >= 0) & (x < width - 1) & (y < height - 1))
-        x, y, weights = x[inside], y[inside], (fluxes[seen] / nums).astype(np.float32)[streak[inside]]
+        x, y, weights = x[inside], y[inside], weights[inside]
         column, row = x.astype(np.int32), y.astype(np.int32)
         u, v = x - column, y - row
         corner = row * width + column
@@ -218,23 +283,21 @@ class FallingParticles:
 
 
 def _gunn_marshall(snow_mm_h: float) -> tuple[float, float]:
-    """Flakes above `SNOW_MIN_MM` per m³, and the decay of their number per mm of molten diameter.
+    """Flakes per m³ and mm of molten diameter at 0, and the decay of their number per mm.
 
     Source: Gunn and Marshall, The distribution with size of aggregate snowflakes, 1958: N0 = 3800 R^-0.87, slope
     2.55 R^-0.48.
     """
     if snow_mm_h == 0:
         return 0.0, 1.0
-    slope = 2.55 * snow_mm_h**-0.48
-    return 3800.0 * snow_mm_h**-0.87 / slope * float(np.exp(-slope * SNOW_MIN_MM)), slope
+    return 3800.0 * snow_mm_h**-0.87, 2.55 * snow_mm_h**-0.48
 
 
 def _marshall_palmer(rain_mm_h: float) -> tuple[float, float]:
-    """Drops above `RAIN_MIN_MM` per m³, and the decay of their number per mm of diameter.
+    """Drops per m³ and mm of diameter at 0, and the decay of their number per mm.
 
     Source: Marshall and Palmer, The distribution of raindrops with size, 1948: N0 = 8000, slope 4.1 R^-0.21.
     """
     if rain_mm_h == 0:
         return 0.0, 1.0
-    slope = 4.1 * rain_mm_h**-0.21
-    return 8000.0 / slope * float(np.exp(-slope * RAIN_MIN_MM)), slope
+    return 8000.0, 4.1 * rain_mm_h**-0.21

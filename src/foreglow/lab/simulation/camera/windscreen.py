@@ -34,6 +34,9 @@ is that of the coarse grid."""
 COARSE_EDGE = 4.0
 """Cells of the coarse grid from which on a ghost's edge is wide."""
 
+SURFACE_STEP = 2
+"""Streaks of surfaces are computed for every second pixel."""
+
 STREAK_LENGTHS = 4.0
 """A streak is drawn up to so many of its lengths."""
 
@@ -79,6 +82,7 @@ class Windscreen(Optics):
         self._veil_spectrum, self._spectrum_shape = self._veil_of_surfaces()
         self._far_kernel = self._veil_of_lamps()
         self._near_picture = self._picture(lens)
+        self._surface_streaks = self._streaks_of_surfaces(lens)
         self.transmission, self.static_cd_m2 = _own_car(profile.car, profile.name, camera)
 
     def spread(self, luminance: Image) -> Image:
@@ -97,6 +101,11 @@ class Windscreen(Optics):
             shape = self._spectrum_shape
             veil = irfft2(rfft2(small, shape) * self._veil_spectrum, shape)[:rows, :columns]
             spread += self._enlarged(np.maximum(veil, 0.0).astype(np.float32))
+        if self._surface_streaks is not None:
+            size = (-(-luminance.shape[1] // SURFACE_STEP), -(-luminance.shape[0] // SURFACE_STEP))
+            small = cv2.resize(luminance, size, interpolation=cv2.INTER_AREA)
+            arms = cv2.filter2D(small, -1, self._surface_streaks, borderType=cv2.BORDER_REPLICATE)
+            spread += cv2.resize(np.maximum(arms, 0.0), luminance.shape[::-1], interpolation=cv2.INTER_LINEAR)
         return spread
 
     def draw_points(self, points: LampPoints) -> Image:
@@ -227,6 +236,18 @@ class Windscreen(Optics):
         for streak in lens.streaks:
             picture += _streaks(streak, along, deg_px) * np.clip(4.0 * (1.0 - distances / reach), 0.0, 1.0)
         return np.asarray(picture, np.float32)
+
+    def _streaks_of_surfaces(self, lens: LensSpec) -> Image | None:
+        """The streaks that surfaces have, of one pixel of the coarser image that they are computed on."""
+        streaks = [streak for streak in lens.streaks if streak.of_surfaces]
+        if not streaks:
+            return None
+        deg_px = np.radians(1.0) * self.camera.focal_px[0] / SURFACE_STEP
+        reach = int(STREAK_LENGTHS * max(streak.length_deg for streak in streaks) * deg_px) + 1
+        along = np.arange(-reach, reach + 1, dtype=np.float64)
+        fading = np.clip(4.0 * (1.0 - np.hypot(along[:, np.newaxis], along) / reach), 0.0, 1.0)
+        picture = np.sum([_streaks(streak, along, deg_px) for streak in streaks], axis=0) * fading
+        return np.asarray(picture[::-1, ::-1], np.float32)  # OpenCV correlates
 
     def _near_weight(self, distances_px: Floats) -> Floats:
         near, joined = NEAR_PX * self._scale, JOINED_PX * self._scale

@@ -66,6 +66,7 @@ class Renderer:
         *,
         road: RoadSpec,
         seed: int,
+        is_snowing: bool = False,
     ) -> None:
         """Builds the world.
 
@@ -76,12 +77,13 @@ class Renderer:
             settings: Quality and cost of an image.
             road: State of the carriageway.
             seed: Seed of the textures.
+            is_snowing: Whether snow sticks to the trees.
         """
         prepare()
         self._settings = settings
         self._world = Solids(static, bodies)
         self._lights = Lights()
-        self._surfaces = Surfaces(road, seed)
+        self._surfaces = Surfaces(road, seed, is_snowing=is_snowing)
         self._haze = Haze(camera, settings.haze_cells)
         self._pixel_rad = dr.opaque(mi.Float, 1.0 / float(np.mean(camera.focal_px)))
         self._samples = Samples(camera, settings)

@@ -51,6 +51,14 @@ ROUGH = tuple(
 )
 """Materials made of grains and holes, unlike paint, metal and glass."""
 
+IN_SNOWFALL = {"bark": (0.25, 0.35), "snow": (0.2, 0.4)}
+"""Albedo and variation of materials while it is snowing: bark to which snow sticks, and thin snow on grass."""
+
+COUNTRY_REFLECTOR = 400.0
+"""Retroreflection of reflectors on roads of two lanes, by which they flare as in PVDN's frames; motorways, which were
+compared with clips, keep that of the material.
+"""
+
 MARKING_WIDTH_M = 0.12
 EDGE_LINE_INSET_M = 0.2
 DASH_M, DASH_PERIOD_M = 4.0, 12.0
@@ -105,17 +113,21 @@ class Surface:
 class Surfaces:
     """Materials, textures and the road's state, in the form that the kernels read."""
 
-    def __init__(self, road: RoadSpec, seed: int) -> None:
-        """The textures follow from `seed`; the road's state is passed to the kernels, not compiled into them."""
+    def __init__(self, road: RoadSpec, seed: int, *, is_snowing: bool = False) -> None:
+        """The textures follow from `seed`; the road's state is passed to the kernels, not compiled into them.
+
+        While it is snowing, bark is white in patches, the snow beside the road is thin, and the road is evenly wet.
+        """
         noise = _noise(np.random.default_rng([seed, 71]))
         self._noise = mi.Texture2f(
             mi.TensorXf(noise), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat, use_accel=False
         )
-        self._materials = mi.Float(_material_records().ravel())
+        self._materials = mi.Float(_material_records(road, is_snowing).ravel())
         values = {
             "lane_m": road.lane_width_m,
             "wear": road.wear,
             "wetness": road.wetness,
+            "uneven": 0.05 if is_snowing else 0.25,
             "dash_m": {"dashed": DASH_M, "solid": DASH_PERIOD_M, "none": 0.0}[road.centre_marking],
             "edge_m": MARKING_WIDTH_M if road.has_edge_marking else 0.0,
             # The noise is roughly normal, so that this quantile leaves the wanted share under snow.
@@ -221,7 +233,7 @@ class Surfaces:
         marking = MATERIALS[material_number("marking")]
         albedo = dr.lerp(albedo, marking.albedo, paint)
         # Water fills the pores and makes the surface darker and smoother, most of all in the tracks.
-        wet = clipped(road["wetness"] * (1.0 + 0.25 * patches + 0.3 * track), 0.0, 1.0)
+        wet = clipped(road["wetness"] * (1.0 + road["uneven"] * patches + 0.3 * track), 0.0, 1.0)
         albedo *= 1.0 - 0.5 * wet
         road_roughness = MATERIALS[material_number("road")].roughness
         roughness = dr.lerp(road_roughness * (1.0 - 0.08 * worn + 0.03 * streak), WET_ROUGHNESS, wet)
@@ -262,11 +274,17 @@ def _noise(generator: np.random.Generator) -> NDArray[np.float32]:
     return np.asarray(smooth / smooth.std((0, 1)), np.float32)
 
 
-def _material_records() -> NDArray[np.float32]:
+def _material_records(road: RoadSpec, is_snowing: bool) -> NDArray[np.float32]:
     """Eight floats of each material, shape (len(MATERIALS), 8)."""
     fields = ("albedo", "specular", "roughness", "transmission", "retroreflection", "variation", "bump")
     curvatures = np.array([CURVATURE_PER_M.get(material.name, 0.0) for material in MATERIALS], np.float32)
-    return np.stack([*(column(field) for field in fields), curvatures], -1)
+    records = np.stack([*(column(field) for field in fields), curvatures], -1)
+    if not has_several_lanes(road):
+        records[material_number("reflector"), fields.index("retroreflection")] = COUNTRY_REFLECTOR
+    if is_snowing:
+        for name, changed in IN_SNOWFALL.items():
+            records[material_number(name), [0, 5]] = changed
+    return records
 
 
 def _flat_coordinates(hit: Hit) -> tuple[Number, Number, Number, Number]:

@@ -188,6 +188,7 @@ class EgoSpec(SpecModel):
         beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
         low_beam_file: An IES file for the low beam instead of the built-in table.
         carpet: Wide and near light of the built-in low beam: 1 for modern lamps, 0.4 for old ones, see `low_beam`.
+        stray: Factor on the stray light of the built-in low beam: 1 for clean lamps, several for lamps under slush.
         brightness: Factor on the headlamps.
         yaw_aim_deg: Misalignment of the headlamps to the left.
         pitch_aim_deg: Misalignment of the headlamps upwards.
@@ -201,6 +202,7 @@ class EgoSpec(SpecModel):
     beam: EgoBeam = "low"
     low_beam_file: str | None = None
     carpet: Annotated[float, Field(gt=0, le=1)] = 1.0
+    stray: Annotated[float, Field(ge=0, le=100)] = 1.0
     brightness: Positive = 1.0
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
@@ -280,7 +282,10 @@ class SensorSpec(SpecModel):
         log_slope: Grey levels for a factor e above the knee.
         read_noise: Standard deviation without light.
         shot_noise: Variance for each grey level of signal.
+        grain_px: Standard deviation of a blur of the noise, which keeps its variance; 0 for noise as correlated as
+            after demosaicing.
         column_noise: Factor on the fixed pattern of the columns.
+        row_noise: Factor on the noise that a row has in common.
         core_px: Standard deviation of the point spread's core.
         middle_share: Share of the light in the exponential part.
         middle_px: Length of the exponential part.
@@ -298,7 +303,9 @@ class SensorSpec(SpecModel):
     log_slope: Positive = 14.0
     read_noise: NonNegative = 1.35
     shot_noise: NonNegative = 0.05
+    grain_px: Annotated[float, Field(ge=0, le=20)] = 0.0
     column_noise: NonNegative = 1.0
+    row_noise: NonNegative = 1.0
     core_px: Positive = 0.8
     middle_share: Share = 0.25
     middle_px: Positive = 0.65

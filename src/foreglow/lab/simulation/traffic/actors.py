@@ -144,8 +144,9 @@ def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[
     if ego.beam == "matrix":
         lamps = [_matrix(lamp.matrix, is_left) for lamp in (headlamps.left, headlamps.right)]
         return lamps[0].table(led_levels[0]), lamps[1].table(led_levels[1])
-    table = _high_table(is_left) if ego.beam == "high" else _low_table(ego.low_beam_file, is_left, ego.carpet)
-    return table, table
+    if ego.beam == "high":
+        return (_high_table(is_left),) * 2
+    return (_low_table(ego.low_beam_file, is_left, (ego.carpet, ego.stray)),) * 2
 
 
 def _matrix(lamp: MatrixLamp, is_left: bool) -> MatrixLamp:
@@ -222,9 +223,9 @@ def _aim(yaw_deg: float, pitch_deg: float) -> Floats:
 
 
 @functools.lru_cache(maxsize=16)  # one object for each table, which is sent to the renderer once
-def _low_table(file: str | None, is_left: bool, carpet: float = 1.0) -> IntensityTable:
-    """The built-in low beam, or that of an IES file; mirrored where traffic keeps to the left."""
-    table = low_beam(carpet) if file is None else read_ies(Path(file))
+def _low_table(file: str | None, is_left: bool, factors: tuple[float, float] = (1.0, 1.0)) -> IntensityTable:
+    """The low beam with factors on its parts, or that of an IES file; mirrored where traffic keeps to the left."""
+    table = low_beam(*factors) if file is None else read_ies(Path(file))
     return table.mirrored if is_left and file is None else table
 
 

@@ -44,7 +44,7 @@ MATERIALS: tuple[Material, ...] = (
     Material("gravel", "verge", 0.10, 0.0, 0.9, variation=0.12, bump=0.03),
     Material("grass_ground", "verge", 0.06, 0.0, 0.9, variation=0.12, bump=0.03),
     Material("soil", "verge", 0.07, 0.0, 0.9, variation=0.12, bump=0.03),
-    Material("snow", "verge", 0.75, 0.02, 0.6, variation=0.08, bump=0.04),
+    Material("snow", "verge", 0.65, 0.02, 0.6, variation=0.25, bump=0.15),
     Material("grass_blade", "verge", 0.08, 0.02, 0.7, transmission=0.3),
     Material("bark", "foliage", 0.13, 0.0, 0.9, variation=0.25, bump=0.1),
     Material("leaf", "foliage", 0.12, 0.02, 0.6, transmission=0.4),
