@@ -52,7 +52,7 @@ from foreglow.outputs import FolderLock
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.whole_files import is_temporary
 
-SIMULATOR_VERSION = 1
+SIMULATOR_VERSION = 2
 """Raise it whenever the same scene gives other bytes: then finished scenes of an earlier version are not mixed in."""
 
 GENERATOR = f"foreglow {version('foreglow')}, simulator {SIMULATOR_VERSION}"
