@@ -167,6 +167,10 @@ def train(
         list[Path] | None,
         file("With --from: drives to mix in instead of the samples that ship; repeatable.", "--mix", metavar="DATA"),
     ] = None,
+    teacher: Annotated[
+        list[Path] | None,
+        file("Model that the new one also learns from; of several, their mean; repeatable.", "--teacher"),
+    ] = None,
     recipe: Annotated[
         str | None,
         option(
@@ -203,6 +207,8 @@ def train(
 
     if from_ is None and mix is not None:
         raise ValueError("train: expected --from with --mix, which is for a model that goes on learning")
+    if from_ is not None and teacher:
+        raise ValueError("train: expected --teacher without --from, with which a model is its own teacher")
     base, start = recipes.recipe(recipe or "foreglow"), None
     if from_ is not None:
         from foreglow.lab.learning.fine_tuning import fine_tune, fine_tuning_recipe, fitting_recipe
@@ -228,11 +234,12 @@ def train(
     if len({path.resolve() for path in data}) < len(data):
         raise ValueError(f"{', '.join(map(str, data))}: expected each data set once")
     check_each_once(mix or (), "--mix")
+    check_each_once(teacher or (), "--teacher")
     try:
         with TrainingBar() as progress:
             how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}
             if start is None:
-                summary = train_model(data, chosen, configuration, out, **how)
+                summary = train_model(data, chosen, configuration, out, teachers=teacher or (), **how)
             else:
                 summary, judged = fine_tune(data, start, chosen, configuration, out, mix=mix or (), **how)
     except KeyboardInterrupt:

@@ -81,6 +81,7 @@ class Recipe(FrozenModel):
             counts as none, so that what a person would mark comes first.
         max_negatives_per_positive: Largest number of negatives for each positive in an epoch, drawn again each time;
             None for all.
+        taught: Where a training has teachers, how much of the targets is what these say; the rest is whose light it is.
         without_lamps: Where the boxes of a frame are read together, share of the frames whose lamps in sight are left
             out, drawn again in each epoch: what else a vehicle lights is then seen as if the vehicle were hidden.
         augmentation: Random changes of training crops; validation samples are never changed.
@@ -116,6 +117,7 @@ class Recipe(FrozenModel):
     unmarked_light: Share = 1.0
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     without_lamps: Share = 0.0
+    taught: Share = 0.7
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1", "last"] = "loss"
     calibration: Literal["none", "temperature", "platt"] = "temperature"

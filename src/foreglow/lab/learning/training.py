@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import dataclasses
+import hashlib
 import io
 import math
 import time
@@ -98,6 +99,7 @@ def train(
     make_network: MakeNetwork | None = None,
     start: str = "",
     teacher: Teacher | None = None,
+    taught: NDArray[np.float32] | None = None,
     counting: Counting = EACH_AS_ONE,
     device: str = "auto",
     progress: TrainingProgress | None = None,
@@ -114,6 +116,8 @@ def train(
         make_network: Makes the network to train; None takes the recipe's from `networks.NETWORKS`, untrained.
         start: What the network has learnt before, such as a model's digest: another start does not continue this one.
         teacher: What is to be kept of a network, and on which training samples; None trains on labels alone.
+        taught: Shape (N, 5): what other models say of the kinds of the training samples, of which the recipe's `taught`
+            goes into the targets; None without them.
         counting: How precision, recall and F of the epochs count the validation samples.
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         progress: Called after every step and epoch.
@@ -137,9 +141,11 @@ def train(
         identity["start"] = start
     if teacher is not None:
         identity["teacher"] = [teacher.weight, int(teacher.is_told.sum())]
+    if taught is not None:
+        identity["taught"] = hashlib.sha256(np.ascontiguousarray(taught).data).hexdigest()
     checkpoint = read_checkpoint(folder, identity)
     with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if chosen.type == "cuda" else []):
-        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, teacher, chosen)
+        trainer = _Trainer(recipe, train_samples, make_network or recipe_network, teacher, taught, chosen)
         if checkpoint is None:
             checkpoint = Checkpoint(identity, *trainer.states())
         else:
@@ -222,6 +228,7 @@ class _Trainer:
         samples: Samples,
         make_network: MakeNetwork,
         teacher: Teacher | None,
+        taught: NDArray[np.float32] | None,
         device: torch.device,
     ) -> None:
         torch.manual_seed(recipe.seed)
@@ -244,6 +251,8 @@ class _Trainer:
         self.positive_weight = float(balance) if recipe.positive_weight == "balanced" else 1.0
         self._weights = sample_weights(samples, recipe.group_balance)
         self._kinds = kind_targets(samples, recipe.unmarked_light)
+        if taught is not None:
+            self._kinds += np.float32(recipe.taught) * (taught - self._kinds)
         if recipe.kinds and np.isnan(samples.kinds[samples.labels != IGNORED]).any():
             raise ValueError("train samples: expected the kind of light of every labelled box, found NaN")
 

@@ -45,6 +45,7 @@ def train_model(
     config: PipelineConfig,
     folder: Path,
     *,
+    teachers: Sequence[Path] = (),
     device: str = "auto",
     cache: Path | None = None,
     progress: RunProgress | None = None,
@@ -60,21 +61,27 @@ def train_model(
         recipe: How to train.
         config: Its proposals are the boxes that the network is trained on.
         folder: Folder for all results; made if it does not exist.
+        teachers: Models whose mean the network learns as well, as the recipe's `taught` says.
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         cache: Folder in which samples are kept between runs; None keeps them in `folder`.
         progress: Called after every image, step and epoch.
 
     Raises:
-        FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If one is broken or named twice, or the folder holds another training.
+        FileNotFoundError: If a split, one of its files or a teacher is missing.
+        ValueError: If one is broken or named twice, a teacher reads something else than the network, or the folder
+            holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
+    from foreglow.lab.learning.teaching import read_teachers, taught_kinds
     from foreglow.lab.learning.training import train
 
     started = time.perf_counter()
+    models = read_teachers(teachers, recipe.inputs)
+    if models and not recipe.kinds:
+        raise ValueError("recipe: kinds: expected true with teachers, which tell them, got false")
     names: tuple[SplitName, ...] = ("train", "val")
     whole = [path for path in data if not is_split(path)]
     if not whole:
@@ -92,9 +99,11 @@ def train_model(
         for name in names
     }
     reported = WithEventFiles(folder, progress) if importlib.util.find_spec("tensorboard") else progress
-    result = train(recipe, samples["train"], samples["val"], folder, device=device, progress=reported)
+    taught = taught_kinds(models, samples["train"]) if models else None
+    result = train(recipe, samples["train"], samples["val"], folder, taught=taught, device=device, progress=reported)
     summary = {
         "data": [str(path) for path in data],
+        "teachers": {model.name: model.digest for model in models},
         **finish(recipe, result, samples["val"], folder),
         "samples": {name: sample_counts(split) for name, split in samples.items()},
         "seconds": round(time.perf_counter() - started, 1),
