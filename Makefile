@@ -1,6 +1,6 @@
 # make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench,
 # make data [DATA=folder] [SCALE=share] [CAMERAS=name,...] [JOBS=number], make pvdn-data, make drives, make model-data, make model,
-# make old-samples, make reproduce, make simulator-pictures, make simulator-report, make drive.
+# make together, # make old-samples, make reproduce, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
 PYTHON ?= python3
@@ -12,7 +12,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 # Compiling 900 files anew takes a fifth of the quick loop.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo quick test check wheel docs bench data pvdn-data drives model-data model old-samples reproduce simulator-pictures \
+.PHONY: demo quick test check wheel docs bench data pvdn-data drives model-data model together old-samples reproduce simulator-pictures \
     simulator-report drive clean
 
 $(VENV)/bin/python:
@@ -160,6 +160,16 @@ model-data: $(VENV)/.dev
 model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --recipe foreglow --preset foreglow --out runs/foreglow
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
+
+# A model like `together`, which compares the boxes of an image, and learns from others as well: an hour of one core.
+TEACHERS = src/foreglow/models/foreglow.onnx $(addprefix runs/,$(addsuffix /model.onnx,alone related related2))
+train_together = OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --preset foreglow
+together: $(VENV)/.dev
+	$(train_together) --recipe foreglow --epochs 24 --out runs/alone
+	$(train_together) --recipe related --epochs 6 --out runs/related --cache runs/related_samples
+	$(train_together) --recipe related --epochs 10 --seed 2 --out runs/related2 --cache runs/related_samples
+	$(train_together) --recipe related --epochs 14 --seed 2 $(addprefix --teacher ,$(TEACHERS)) --out runs/together \
+	    --cache runs/related_samples
 
 # What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
 # the images again; and 2,000 of validation drives, by camera, that judge what it forgets. OLD_DATA, OLD_JUDGE and OLD_CACHE name

@@ -47,6 +47,17 @@ def test_the_model_tells_kinds() -> None:
         assert len(detections) == 0 or np.isfinite(detections.light_kinds).all()
 
 
+def test_the_other_model_compares_boxes_and_tells_kinds() -> None:
+    config = foreglow.preset("foreglow")
+    classifier = config.classifier.model_copy(update={"model": Path("together")})
+    pipeline = foreglow.Pipeline(config.model_copy(update={"classifier": classifier}))
+    assert OnnxClassifier(classifier).spec.together
+    for number in range(3):
+        detections = pipeline.step(Frame(night_image(number, 960, 1280), number * 55_555_556)).detections
+        assert detections is not None
+        assert np.isfinite(detections.light_kinds).all()
+
+
 def test_a_drive_scores_alike_whenever_it_comes() -> None:
     """Results depend on the frames of the sequence alone, not on what ran before."""
     frames = [Frame(night_image(number, 960, 1280), number * 55_555_556) for number in range(8)]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-BUNDLED = ("foreglow",)
-"""Names of the models."""
+BUNDLED = ("foreglow", "together")
+"""Names of the models; the first is the default."""
 
 OLD_SAMPLES = Path(__file__).parent / "foreglow_samples.npz"
 """A little of what the model learnt from, for training it further; `foreglow.lab.learning.old_samples` makes it."""

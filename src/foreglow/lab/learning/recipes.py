@@ -117,7 +117,7 @@ class Recipe(FrozenModel):
     unmarked_light: Share = 1.0
     max_negatives_per_positive: Annotated[float, Field(gt=0)] | None = None
     without_lamps: Share = 0.0
-    taught: Share = 0.7
+    taught: Share = 0.8
     augmentation: Augmentation = Augmentation()
     best_by: Literal["loss", "f1", "last"] = "loss"
     calibration: Literal["none", "temperature", "platt"] = "temperature"
