@@ -225,7 +225,10 @@ SourceArgument = Annotated[
 OutOption = Annotated[Path, folder("Folder for the results; made if needed.")]
 ReportOption = Annotated[Path, folder("Folder for the report.")]
 ConfigOption = Annotated[Path | None, file("TOML file whose fields override the preset.")]
-ModelOption = Annotated[Path | None, file("ONNX model of the classifier; overrides that of the configuration.")]
+ModelOption = Annotated[
+    Path | None,
+    file("ONNX model of the classifier, or foreglow or together, which ship; overrides that of the configuration."),
+]
 CalibrationOption = Annotated[
     Path | None, file("Calibration of the camera (TOML), so that boxes and tracks get ranges.")
 ]
