@@ -218,6 +218,14 @@ def test_what_a_plug_in_raises_is_no_fault_of_ours(
     assert not Path("out").exists()
 
 
+def test_too_little_memory_is_not_blamed_on_the_input() -> None:
+    """An error that says how much was asked for may be about a number in a file; Python's own says nothing."""
+    inputs = [Path("drive"), Path("own.toml")]
+    assert errors.one_line(MemoryError(), inputs) == ("not enough memory", 2)
+    line = "drive, own.toml: expected values that can be worked with: MemoryError: Unable to allocate 9 TiB"
+    assert errors.one_line(MemoryError("Unable to allocate 9 TiB"), inputs) == (line, 2)
+
+
 def test_a_package_that_cannot_be_loaded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """As ROS 2's without its libraries: the error names none of our modules, nor is anything missing."""
     (tmp_path / "cantools").mkdir()

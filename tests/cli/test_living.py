@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -15,6 +17,8 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import shipped_drive
+from foreglow.runs.folder import ROOM_BYTES
+from foreglow.runs.recorded_run import read_run
 from foreglow.runs.summary_file import read_summary
 from foreglow.runtime.live import Paced
 from foreglow.types import Frame
@@ -215,6 +219,56 @@ def test_a_source_that_ends_with_an_error_leaves_its_results(tmp_path: Path, mon
     assert names(out) == RESULTS
     assert num_lines(out) == 5
     assert json.loads((out / "summary.json").read_text())["is_complete"] is False
+
+
+@contextlib.contextmanager
+def files_of_at_most(num_bytes: int) -> Iterator[None]:
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, usual[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+
+
+def test_results_until_the_disk_is_full_can_be_read(tmp_path: Path) -> None:
+    out, beam = tmp_path / "out", tmp_path / "beam"
+    with files_of_at_most(2 * ROOM_BYTES):
+        result = foreglow_command("live", shipped_drive(), "--speed", 0, "--out", out)
+    assert result.exit_code == 2, result.output
+    last = result.stderr.splitlines()[-1]
+    assert last.startswith("foreglow: not recorded: ")
+    assert "File too large" in last
+    assert str(out / "frames.jsonl") in last
+    assert "could not keep up" not in result.stdout
+    assert names(out) == RESULTS
+    assert 2 * ROOM_BYTES - 10_000 < (out / "frames.jsonl").stat().st_size < 2 * ROOM_BYTES
+    num_frames = num_lines(out)
+    assert len((out / "times.jsonl").read_text().splitlines()) == num_frames
+    with pytest.warns(UserWarning, match=f"interrupted after {num_frames} frames"):
+        run = read_run(out)
+    assert not run.summary.is_complete
+    assert run.summary.num_frames == num_frames == sum(map(len, run.sequences.values()))
+    assert run.summary.beam is not None
+    assert run.summary.beam.num_low + run.summary.beam.num_glare_free + run.summary.beam.num_full == num_frames
+    assert foreglow_command("beam", out, "--out", beam).exit_code == 0
+    assert num_lines(beam) == num_frames
+    assert not read_summary(beam / "summary.json").is_complete
+
+
+@pytest.mark.parametrize("command", ["live", "run"])
+def test_a_recording_without_a_frame_is_not_kept(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("foxglove")
+
+    def interrupted(*_: object) -> None:
+        assert (tmp_path / "x.mcap.partial").exists()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("foreglow.cli.live.viewer_sinks", interrupted)
+    monkeypatch.setattr("foreglow.cli.run.viewer_sinks", interrupted)
+    line = (command, shipped_drive(), "--out", tmp_path / "out", "--record", tmp_path / "x.mcap")
+    assert foreglow_command(*line).exit_code == 130
+    assert not names(tmp_path)
 
 
 def test_recording_named_after_its_time(tmp_path: Path) -> None:

@@ -58,6 +58,10 @@ def test_without_a_display(tmp_path: Path, folder: Path, config: Path, monkeypat
 
 
 def test_a_recording_that_cannot_be_written(tmp_path: Path, folder: Path, config: Path) -> None:
+    path = tmp_path / "run.mcap"
+    assert f"{path}: expected a recording that ends in .rrd" in complaint(
+        "run", folder, "--out", tmp_path / "out", "--config", config, "--save", path
+    )
     path = tmp_path / "nowhere" / "run.rrd"
     line = complaint("run", folder, "--out", tmp_path / "out", "--config", config, "--save", path)
     assert f"{path}: No such file or directory" in line

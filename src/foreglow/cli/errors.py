@@ -225,6 +225,8 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return f"expected names in UTF-8, which a file of text can hold, got {shortened(repr(around), 200)}", 2
     if isinstance(error, (ValueError, OSError)):
         return shortened(words_of(error) or type(error).__name__), 2
+    if isinstance(error, MemoryError) and not words_of(error):  # else it says how much was asked for
+        return "not enough memory", 2
     words = shortened(f"{type(error).__name__}: {words_of(error)}", 200)
     path = _input_read(error, inputs)
     if path is not None:

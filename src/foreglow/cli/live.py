@@ -32,7 +32,7 @@ from foreglow.options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from foreglow.config import PipelineConfig
     from foreglow.datasets import VehicleData
@@ -117,9 +117,12 @@ def live(
         outputs: list[BeamOutput] = [opened] if isinstance(opened, ClosedLoop) else []
         if can is not None:
             outputs.append(lamp_bus(can, configuration))
-        sinks = recording_sinks(record, Path(source), configuration)
-        sinks += viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
-        summary, error = _run(opened, configuration, out, outputs, sinks, limit, give_up)
+
+        def make_sinks() -> Iterator[LiveSink]:
+            yield from recording_sinks(record, Path(source), configuration)
+            yield from viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
+
+        summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)
     _finish(summary, out, error)
 
 
@@ -142,11 +145,13 @@ def _run(
     configuration: PipelineConfig,
     out: Path | None,
     outputs: Sequence[BeamOutput],
-    sinks: Sequence[LiveSink],
+    made_sinks: Iterator[LiveSink],
     limit: int | None,
     give_up_s: float | None,
 ) -> tuple[LiveSummary, LiveEndedError | None]:
     """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen.
+
+    Until the loop has the sinks, which are made one by one, an error discards them.
 
     Returns:
         What came of the run, and why it could not go on, if so.
@@ -154,25 +159,26 @@ def _run(
     from foreglow.display.live_status import LiveStatus
     from foreglow.pipeline import Pipeline
     from foreglow.runtime import OutputFolder
-    from foreglow.runtime.health import ResultsOnly
     from foreglow.runtime.live import LiveEndedError, LiveLoop
+    from foreglow.runtime.live.kept_results import KeptResults
     from foreglow.runtime.live.notify import ServiceNotifier
-    from foreglow.runtime.run import PATIENCE_S, InterruptFlag
+    from foreglow.runtime.run import PATIENCE_S, InterruptFlag, discarding
 
-    all_sinks: list[LiveSink] = [LiveStatus(), *sinks]
-    notifier = ServiceNotifier()
     with contextlib.nullcontext() if out is None else OutputFolder(out) as results:
-        if results is not None:
-            all_sinks += [ResultsOnly(sink) for sink in results.line_sinks()]
-        loop = LiveLoop(
-            source,
-            lambda: Pipeline(configuration),
-            configuration,
-            outputs=outputs,
-            sinks=all_sinks,
-            beat=notifier.beat,
-            give_up_s=give_up_s,
-        )
+        sinks: list[LiveSink] = []
+        with discarding(sinks):
+            sinks.extend(made_sinks)
+            notifier = ServiceNotifier()
+            kept = None if results is None else KeptResults(results)
+            loop = LiveLoop(
+                source,
+                lambda: Pipeline(configuration),
+                configuration,
+                outputs=outputs,
+                sinks=[LiveStatus(), *sinks, *([] if kept is None else [kept])],
+                beat=notifier.beat,
+                give_up_s=give_up_s,
+            )
         error = None
         try:
             summary = loop.run(limit)
@@ -180,8 +186,8 @@ def _run(
             summary, error = ended.summary, ended
         with InterruptFlag(PATIENCE_S):
             notifier.stop()
-            if results is not None:
-                results.publish(configuration, summary)
+            if results is not None and kept is not None:
+                results.publish(configuration, kept.summary(summary, configuration))
     return summary, error
 
 
@@ -196,6 +202,6 @@ def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None
     if error is not None:
         raise error
     if summary.sink_errors:
-        raise typer.Exit(2)
+        raise OSError(f"not recorded: {'; '.join(summary.sink_errors)}")
     if not summary.run.is_complete:
         raise typer.Exit(130)

@@ -188,16 +188,17 @@ def everything(
     from foreglow.runtime.live.opening import open_camera
     from foreglow.runtime.run import InterruptFlag
 
-    _check_source(frames, capture, SourceOptions(), VehicleOptions(), speed, loop=loop)
+    vehicle = VehicleOptions(calibration=calibration)
+    _check_source(frames, capture, SourceOptions(), vehicle, speed, loop=loop)
     ros_arguments = _prepare(context, is_networked)
     from foreglow.runtime.ros2 import STAGE_NODES
     from foreglow.runtime.ros2.supervisor import supervise
 
     if open_camera(frames, CameraOptions()) is None:
-        open_source(frames)
+        next(iter(vehicle.equip(open_source(frames), 1)), None)  # whether the calibration fits
     pipeline.configuration().commanding()
     ending = [*(["--network"] if is_networked else []), *ros_arguments]
-    shared = _arguments(calibration=calibration, **dataclasses.asdict(pipeline))
+    shared = _arguments(**dataclasses.asdict(pipeline))  # the source has the calibration, and sends it scaled
     nodes = {name: [name, *shared, *ending] for name in STAGE_NODES}
     nodes["beam"] = ["beam", *shared, *_arguments(**dataclasses.asdict(output)), *ending]
     if markers:
@@ -268,13 +269,13 @@ def _run_node(
     name: str, context: typer.Context, pipeline: PipelineOptions, node: NodeOptions, output: OutputOptions
 ) -> None:
     ros_arguments = _prepare(context, node.is_networked)
-    from foreglow.calibration import read_calibration
+    from foreglow.datasets.vehicle_logs import open_vehicle_data
     from foreglow.runtime.ros2.stages import NODES, Setting
     from foreglow.runtime.run import InterruptFlag
 
     config = pipeline.configuration().commanding()
     bus = None if output.can is None else lamp_bus(output.can, config)
-    camera = None if node.calibration is None else read_calibration(node.calibration)
+    camera = None if node.calibration is None else open_vehicle_data(node.calibration)
     make: Callable[[Setting], FrameNode[Any]]
     if name == "markers":
         from foreglow.runtime.ros2.markers import MarkerNode

@@ -42,6 +42,8 @@ from foreglow.options import (
 from foreglow.outputs import check_unnamed_outputs
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from foreglow.runtime import OutputFolder, ResultSink
 
 
@@ -90,10 +92,12 @@ def run(
     frames = opening()
     looks = look_sink(frames, reading.limit)
 
-    def make_sinks(results: OutputFolder) -> list[ResultSink]:
-        sinks: list[ResultSink] = [looks, *recording_sinks(record, source, configuration)]
-        sinks += viewer_sinks(viewer, configuration, recorded_lux(frames))
-        return [*sinks, picture_sink(frames, results, "overlay")] if video else sinks
+    def make_sinks(results: OutputFolder) -> Iterator[ResultSink]:
+        yield looks
+        yield from recording_sinks(record, source, configuration)
+        yield from viewer_sinks(viewer, configuration, recorded_lux(frames))
+        if video:
+            yield picture_sink(frames, results, "overlay")
 
     stepper = Pipeline(configuration)
     summary = run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit)

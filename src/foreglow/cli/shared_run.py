@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,7 +37,7 @@ def run_frames(
     out: Path,
     pipeline: Stepper,
     *,
-    make_sinks: Callable[[OutputFolder], Sequence[ResultSink]] = lambda _: (),
+    make_sinks: Callable[[OutputFolder], Iterable[ResultSink]] = lambda _: (),
     limit: int | None = None,
     origin: RunSummary | None = None,
 ) -> RunSummary:
@@ -44,7 +45,7 @@ def run_frames(
     from foreglow.runtime import OutputFolder, run
 
     with OutputFolder(out) as folder:
-        sinks = [progress_sink(frames, limit), *make_sinks(folder)]
+        sinks = itertools.chain([progress_sink(frames, limit)], make_sinks(folder))
         return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name, origin=origin)
 
 
@@ -169,7 +170,7 @@ def viewer_sinks(options: ViewOptions, configuration: PipelineConfig, lux_of: Lu
 
     Raises:
         ModuleNotFoundError: If Rerun is not installed (extra `view`).
-        ValueError: If there is no display for a window.
+        ValueError: If there is no display for a window, or the file's name does not end in `.rrd`.
         OSError: If the file cannot be written.
     """
     if not options.view and options.save is None:

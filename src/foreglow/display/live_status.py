@@ -80,7 +80,8 @@ def live_lines(summary: LiveSummary) -> list[str]:
     if run.num_skipped:
         lines.append(f"{counted(run.num_skipped, 'unreadable frame')} left out, the first: {run.skipped[0]}")
     if summary.num_unrecorded:
-        lines.append(f"{summary.num_unrecorded} results were not recorded: the recording could not keep up")
+        why = "" if summary.sink_errors else ": the recording could not keep up"
+        lines.append(f"{summary.num_unrecorded} results were not recorded{why}")
     lines += [f"not recorded: {error}" for error in summary.sink_errors]
     return lines
 

@@ -21,6 +21,9 @@ from foreglow.whole_files import naming
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
 """The files that get a line for every frame, with the functions that make the line."""
 
+ROOM_BYTES = 1 << 16
+"""Room that `OutputFolder.keep_room` keeps; configuration and summary take less than half of it."""
+
 PARTS = "parts-*.partial"
 """Pattern of the folders that hold pieces of results while a run is under way."""
 
@@ -87,6 +90,14 @@ class OutputFolder:
         with naming(self.path / name):
             self.partial(name).write_text(text, encoding="utf-8")
 
+    def keep_room(self) -> None:
+        """Keeps room for configuration and summary, so that `publish` can write them when the lines fill the disk.
+
+        Raises:
+            OSError: If there is none; the message names the path.
+        """
+        self.write_text("summary.json", " " * ROOM_BYTES)
+
     def line_sinks(self) -> list[LineSink]:
         """New sinks for the results that get a line for every frame.
 
@@ -125,8 +136,8 @@ class OutputFolder:
         for name in LINES:
             if name in self._partials and not self._partials[name].exists():
                 raise FileNotFoundError(f"{self.path / name}: expected what was written so far, it was removed")
+        self.write_text("summary.json", json_text(summary, indent=2))  # in the room that may have been kept for both
         self.write_text("config.toml", config_to_toml(config))
-        self.write_text("summary.json", json_text(summary, indent=2))
         for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed
             shutil.rmtree(parts, ignore_errors=True)
         (self.path / RESULT_NAMES[-1]).unlink(missing_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -29,7 +30,11 @@ _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class LineSink:
-    """A result sink that writes one line for every frame."""
+    """A result sink that writes one line for every frame, each at once.
+
+    Attributes:
+        num_bytes: Length of the lines that were written whole.
+    """
 
     def __init__(self, path: Path, to_line: Callable[[Frame, FrameResult], Mapping[str, Any]]) -> None:
         """Opens the file.
@@ -43,8 +48,9 @@ class LineSink:
         """
         self._path = path
         self._to_line = to_line
+        self.num_bytes = 0
         with naming(path):
-            self._file = path.open("w", encoding="utf-8", newline="\n")
+            self._file = path.open("wb")
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Adds a line.
@@ -52,9 +58,11 @@ class LineSink:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
-        line = _encode(self._to_line(frame, result))
+        line = f"{_encode(self._to_line(frame, result))}\n".encode()
         with naming(self._path):
-            self._file.write(line + "\n")
+            self._file.write(line)
+            self._file.flush()
+        self.num_bytes += len(line)
 
     def close(self) -> None:
         """Completes the file.
@@ -69,6 +77,15 @@ class LineSink:
         """Closes the file, even if it cannot be completed."""
         with contextlib.suppress(OSError):
             self._file.close()
+
+    def cut(self, num_bytes: int) -> None:
+        """Closes the file, and leaves so many bytes of it.
+
+        Raises:
+            OSError: If that fails; the message names the path.
+        """
+        self.discard()
+        os.truncate(self._path, num_bytes)
 
 
 def read_lines(path: Path, model: type[RootModel[Line]], convert: Callable[[Line], T]) -> dict[int, T]:

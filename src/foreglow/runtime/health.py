@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from foreglow.runtime.run import ResultSink
-from foreglow.types import BeamCommand, Frame, FrameResult
+from foreglow.types import BeamCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,25 +42,3 @@ class LiveSink(ResultSink, Protocol):
     def write_health(self, health: Health) -> None:
         """Writes a health report."""
         ...
-
-
-class ResultsOnly:
-    """Makes a live sink of a result sink; health reports are ignored."""
-
-    def __init__(self, sink: ResultSink) -> None:
-        self._sink = sink
-
-    def write(self, frame: Frame, result: FrameResult) -> None:
-        """Passes a result on."""
-        self._sink.write(frame, result)
-
-    def write_health(self, health: Health) -> None:
-        """Does nothing."""
-
-    def close(self) -> None:
-        """Closes the sink."""
-        self._sink.close()
-
-    def discard(self) -> None:
-        """Discards what the sink has written."""
-        self._sink.discard()

@@ -109,7 +109,7 @@ def run(
     pipeline: Stepper,
     folder: OutputFolder | None,
     *,
-    sinks: Sequence[ResultSink] = (),
+    sinks: Iterable[ResultSink] = (),
     limit: int | None = None,
     source_name: str = "",
     origin: RunSummary | None = None,
@@ -124,7 +124,7 @@ def run(
         source: The frames.
         pipeline: It makes the results, and is reset before the first frame.
         folder: Where the results go; sinks that write files write to its `partial` paths. None: only to the sinks.
-        sinks: They get the results, too.
+        sinks: They get the results, too; if they are made one by one, an error discards those that are there.
         limit: Stop after this many frames; None runs all of them.
         source_name: Name of the source in the summary; empty takes its path, or else its own name.
         origin: The earlier run whose results `pipeline` takes; what that lacks, this run lacks, too.
@@ -135,10 +135,11 @@ def run(
         OSError: If a result cannot be written; the message names the path.
     """
     tally, name = Tally(), source_name or origin_name(source)
-    all_sinks = list(sinks)
-    with folder or contextlib.nullcontext(), _discarding(all_sinks):
+    all_sinks: list[ResultSink] = []
+    with folder or contextlib.nullcontext(), discarding(all_sinks):
         if folder is not None:
-            all_sinks[:0] = folder.line_sinks()
+            all_sinks += folder.line_sinks()
+        all_sinks.extend(sinks)
         with InterruptFlag() as interrupt:
             step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
             check_readable(name, tally, source.skipped)
@@ -156,7 +157,8 @@ def run(
 
 
 @contextlib.contextmanager
-def _discarding(sinks: Iterable[ResultSink]) -> Iterator[None]:
+def discarding(sinks: Iterable[ResultSink]) -> Iterator[None]:
+    """Discards the sinks that are there when its `with` block ends with an error."""
     try:
         yield
     except BaseException:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foreglow.calibration import calibration_to_toml
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.pipeline import Pipeline
@@ -24,7 +25,7 @@ pytest.importorskip("rclpy")
 
 from foreglow.runtime.ros2 import STAGE_NODES
 from foreglow.runtime.ros2.measurement import WHOLE, Answer, Network
-from foreglow.runtime.ros2.node import INPUT_MISSING
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING
 from tests.cli.commands import complaint
 from tests.linux import needs_processes
 
@@ -150,6 +151,19 @@ def test_one_command_runs_a_drive_to_its_end() -> None:
         foreglow("all", str(shipped_drive()), "--limit", "5"), capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_one_command_scales_the_calibration(tmp_path: Path, frames: list[Frame]) -> None:
+    camera = frames[0].camera
+    assert camera is not None
+    twice, other = tmp_path / "twice.toml", tmp_path / "other.toml"
+    twice.write_text(calibration_to_toml(camera.scaled(2 * camera.width_px, 2 * camera.height_px)))
+    other.write_text(calibration_to_toml(dataclasses.replace(camera, height_px=camera.height_px - 60)))
+    line = ("all", str(shipped_drive()), "--limit", "5", "--calibration")
+    done = subprocess.run(foreglow(*line, str(twice)), capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert BAD_MESSAGE not in done.stderr
+    assert f"{other}: image: expected the frames' size or its multiple" in complaint("ros2", *line, other)
 
 
 def test_what_cannot_be_played_is_said_at_once(tmp_path: Path) -> None:

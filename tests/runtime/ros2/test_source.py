@@ -15,12 +15,14 @@ pytest.importorskip("rclpy")
 import rclpy
 
 from benchmarks.faulty import ScriptedCamera
+from foreglow.datasets.vehicle_logs import VehicleFiles
 from foreglow.runtime.ros2.environment import prepare
 from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.join import Joined
 from foreglow.runtime.ros2.source import PAUSE_NS, Due, FramePublisher, Player, repeated, timed
 from foreglow.types import Frame
+from tests.runtime.mcap.drives import CAMERA
 from tests.stand_ins import night_frames
 
 pytestmark = pytest.mark.ros
@@ -57,6 +59,17 @@ def test_what_the_production_system_says_comes_back(is_reported: bool | None) ->
     read = FrameReader().read(Joined(due.header, dict(FramePublisher.messages(due)), 0))
     assert read.is_reported is is_reported
     assert read.is_damaged is False
+
+
+def test_a_calibration_is_scaled_to_the_image() -> None:
+    (frame,) = night_frames(1)
+    due = Due(frame, Header(frame.timestamp_ns, frame.sequence))
+    joined = Joined(due.header, dict(FramePublisher.messages(due)), 0)
+    twice = CAMERA.scaled(2 * frame.width_px, 2 * frame.height_px)
+    assert FrameReader(VehicleFiles(camera=twice)).read(joined).camera == CAMERA
+    other = dataclasses.replace(CAMERA, width_px=2 * frame.width_px)
+    with pytest.raises(ValueError, match=r"own\.toml: image: expected the frames' size or its multiple, 128x96 px"):
+        FrameReader(VehicleFiles(camera=other, names=("own.toml", "", ""))).read(joined)
 
 
 def test_by_default_nobody_else_hears_us() -> None:

@@ -68,6 +68,9 @@ class Output(Protocol):
         ...
 
 
+SUFFIX = ".rrd"
+
+
 class RrdFile:
     """A recording as a file, which appears whole at the end, or not at all.
 
@@ -80,7 +83,10 @@ class RrdFile:
 
         Raises:
             OSError: If it cannot be written; the message names the path.
+            ValueError: If the path does not end in `.rrd`.
         """
+        if path.suffix.lower() != SUFFIX:
+            raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         self._path = path
         self._written = AtomicFile(path)
         self._error: OSError | None = None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from foreglow.datasets.vehicle_data import VehicleData, equip
 from foreglow.geometry import Camera
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.input_messages import (
@@ -25,40 +26,40 @@ from foreglow.types import EgoMotion, Frame
 class FrameReader:
     """Makes frames; while the camera does not change it stays the same object, by which stages cache their results."""
 
-    def __init__(self, calibration: Camera | None = None) -> None:
-        """A reader with a fixed camera; None takes the camera from messages."""
+    def __init__(self, calibration: VehicleData | None = None) -> None:
+        """A reader that takes the camera from a calibration, scaled to the image; None takes it from messages."""
         self._calibration = calibration
         self._known: tuple[Any, Camera | None] = (None, None)
 
     def read(self, joined: Joined) -> Frame:
-        """The frame; without an image among the messages, its pixels are all zero.
+        """The frame; without an image among the messages, its pixels are all zero, and its size is that of CameraInfo.
 
         Raises:
-            ValueError: If a message cannot be used; the error names topic and field.
+            ValueError: If a message cannot be used, the error names topic and field; if the calibration does not fit
+                the image, it names the calibration's file.
         """
         messages = joined.messages
-        size_px, camera = self._camera(messages)
         if topics.IMAGE in messages:
             image = read_image(messages[topics.IMAGE], topics.IMAGE)
         else:
-            image = np.broadcast_to(np.uint8(0), size_px[::-1])
+            info = messages[topics.CAMERA_INFO]
+            image = np.broadcast_to(np.uint8(0), (info.height, info.width))
         road, damage, reported = (messages.get(topic) for topic in (topics.ROAD, topics.DAMAGE, topics.REPORTED))
-        return Frame(
+        frame = Frame(
             image,
             joined.header.timestamp_ns,
             sequence=joined.header.sequence,
             path=topics.IMAGE,
-            camera=camera,
+            camera=None if self._calibration is not None else self._camera(messages),
             motion=_motion(messages),
             road=None if road is None else read_road(road, topics.ROAD),
             is_damaged=damage is not None and read_damage(damage, topics.DAMAGE),
             is_reported=None if reported is None else read_reported(reported, topics.REPORTED),
         )
+        return frame if self._calibration is None else equip(frame, self._calibration)
 
-    def _camera(self, messages: Mapping[str, Any]) -> tuple[tuple[int, int], Camera | None]:
-        """The image's width and height, and its camera."""
-        if self._calibration is not None:
-            return (self._calibration.width_px, self._calibration.height_px), self._calibration
+    def _camera(self, messages: Mapping[str, Any]) -> Camera | None:
+        """The camera by its messages."""
         info, mount = messages[topics.CAMERA_INFO], messages.get(topics.MOUNT)
         key = (
             *(info.height, info.width, info.distortion_model, tuple(info.d), tuple(info.k)),
@@ -71,7 +72,7 @@ class FrameReader:
             if intrinsics is not None and mount is not None:
                 camera = Camera(**intrinsics.model_dump(), vehicle_from_camera=read_mount(mount, topics.MOUNT))
             self._known = (key, camera)
-        return (info.width, info.height), self._known[1]
+        return self._known[1]
 
 
 def _motion(messages: Mapping[str, Any]) -> EgoMotion | None:

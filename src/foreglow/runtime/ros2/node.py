@@ -111,7 +111,7 @@ class FrameNode(ABC, Generic[Inputs]):
         Args:
             name: Name of the node.
             exact: Topics on which every frame has a message with the frame's own header. The first one is its main
-                input, of which only the newest message is kept.
+                input, of which only the newest message is kept; one that is there twice counts once.
             sampled: Topics with times of their own; a frame takes the latest message that is not later than itself.
             ros_arguments: The command line from `--ros-args` on: names, namespace, remappings.
             patience_s: How long a frame waits for messages on sampled topics; None for `Join.PATIENCE_NS`.
@@ -120,6 +120,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self.name = name
         self.faults: set[str] = set()
         self.num_frames = 0
+        exact = tuple(dict.fromkeys(exact))
         patience_ns = Join.PATIENCE_NS if patience_s is None else round(patience_s * 1e9)
         self._join = Join(exact, sampled, patience_ns=patience_ns)
         self._sequence: str | None = None

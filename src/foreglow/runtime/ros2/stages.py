@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from foreglow.config import PipelineConfig
-from foreglow.geometry import Camera
+from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.pipeline import Pipeline, Stages, estimated, tracked
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.ros2 import topics
@@ -36,7 +36,7 @@ class Setting(NamedTuple):
 
     Attributes:
         config: The pipeline's configuration, the same for all nodes.
-        calibration: The camera; None where `CameraInfo` and mount come as messages.
+        calibration: Knows the camera by the size of its image; None where `CameraInfo` and mount come as messages.
         can: The bus for beam commands; None without one.
         deadline_s: Longest time without input before low beam; None for just under two frames.
         patience_s: How long a frame waits for the vehicle's data that belong to it; None for `Join.PATIENCE_NS`.
@@ -44,7 +44,7 @@ class Setting(NamedTuple):
     """
 
     config: PipelineConfig
-    calibration: Camera | None = None
+    calibration: VehicleData | None = None
     can: CanBus | None = None
     deadline_s: float | None = None
     patience_s: float | None = None
@@ -52,8 +52,8 @@ class Setting(NamedTuple):
 
     @property
     def camera_topics(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The topics of the camera: exact ones, and sampled ones."""
-        return ((topics.CAMERA_INFO,), (topics.MOUNT,)) if self.calibration is None else ((), ())
+        """The topics by which the camera is known: exact ones, and sampled ones."""
+        return ((topics.CAMERA_INFO,), (topics.MOUNT,)) if self.calibration is None else ((topics.IMAGE,), ())
 
 
 def needed(field: str, stage: Stage | None) -> Stage:
