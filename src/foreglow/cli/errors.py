@@ -70,6 +70,8 @@ PRINTERS = ("click", "typer", "rich")
 NO_SPACE = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO)
 """What a write says that cannot be done."""
 
+NO_MEMORY = "not enough memory"
+
 NO_THREAD = "can't start new thread"
 """What Python says of it."""
 
@@ -225,16 +227,15 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         return f"expected names in UTF-8, which a file of text can hold, got {shortened(repr(around), 200)}", 2
     if isinstance(error, (ValueError, OSError)):
         return shortened(words_of(error) or type(error).__name__), 2
-    if isinstance(error, MemoryError) and not words_of(error):  # else it says how much was asked for
-        return "not enough memory", 2
-    words = shortened(f"{type(error).__name__}: {words_of(error)}", 200)
+    is_short = isinstance(error, MemoryError) and not words_of(error)  # else it says how much was asked for
+    words = NO_MEMORY if is_short else shortened(f"{type(error).__name__}: {words_of(error)}", 200)
     path = _input_read(error, inputs)
     if path is not None:
         return shortened(f"{path}: cannot be read: {words}"), 2
-    if isinstance(error, (OverflowError, RecursionError, MemoryError)) and inputs:
+    if isinstance(error, (OverflowError, RecursionError, MemoryError)) and inputs and not is_short:
         return shortened(f"{', '.join(map(str, inputs))}: expected values that can be worked with: {words}"), 2
     if isinstance(error, MemoryError):
-        return "not enough memory", 2
+        return NO_MEMORY, 2
     if isinstance(error, RuntimeError) and words_of(error) == NO_THREAD:
         return "no further thread can be started: expected more memory, or fewer processes", 2
     return f"internal error ({words}): a fault of Foreglow, not of your input; report: {_report(error)}", INTERNAL_ERROR

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import os
 import socket
 import sys
 import threading
@@ -12,14 +15,17 @@ import numpy as np
 import pytest
 
 from foreglow.config import LiveConfig
+from foreglow.runs.folder import OutputFolder
+from foreglow.runs.json_lines import LineSink
 from foreglow.runtime.health import Health
 from foreglow.runtime.live.background import NUM_WAITING, Background
 from foreglow.runtime.live.faults import MAX_EVENTS, FaultBook
+from foreglow.runtime.live.kept_results import KeptResults
 from foreglow.runtime.live.loop import SWITCH_S, quick_switching
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.notify import ServiceNotifier
 from foreglow.runtime.live.watch import FrameWatch
-from foreglow.types import Frame
+from foreglow.types import Frame, FrameResult
 from tests.runtime.live.stand_ins import Keeper
 from tests.stand_ins import night_frames, result_of
 
@@ -261,6 +267,32 @@ def test_sink_that_cannot_be_completed() -> None:
     background = Background(Full())
     background.close()
     assert str(background.error) == "full"
+
+
+def test_files_of_a_folder_end_with_the_same_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second file has no room for the third line, of which a part is there; the first has the line."""
+    write = LineSink.write
+
+    def until_full(sink: LineSink, frame: Frame, result: FrameResult) -> None:
+        write(sink, frame, result)
+        if sink is second and frame is frames[2]:
+            os.truncate(tmp_path / "times.jsonl.partial", sink.num_bytes - 5)
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(LineSink, "write", until_full)
+    frames = night_frames(4)
+    with OutputFolder(tmp_path) as folder:
+        kept = KeptResults(folder)
+        second = kept._sinks[1]
+        background = Background(kept)
+        for frame in frames:
+            background.write(frame, result_of(frame, [[1, 2, 9, 9]]))
+        background.close()
+    assert not kept.is_whole
+    for name in ("frames", "times"):
+        lines = (tmp_path / f"{name}.jsonl.partial").read_bytes().splitlines(keepends=True)
+        assert [json.loads(line)["frame"] for line in lines] == [frame.frame for frame in frames[:2]]
+        assert lines[-1].endswith(b"\n")
 
 
 def test_service_notifier(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
