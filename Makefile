@@ -161,9 +161,9 @@ model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --recipe foreglow --preset foreglow --out runs/foreglow
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
 
-# What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
-# the images again; and 2,000 of validation drives, by camera, that judge what it forgets. OLD_DATA, OLD_JUDGE and OLD_CACHE name
-# those drives and the folder of their samples.
+# What `foreglow train --from` mixes in: whole images of the drives that the model learnt from, with 3,000 samples, made of what a
+# training of the recipe related left, or of the images again; and others of validation drives, by camera, that judge what it forgets.
+# OLD_DATA, OLD_JUDGE and OLD_CACHE name those drives and the folder of their samples.
 OLD_DATA ?= $(sort $(MODEL_SETS))
 OLD_JUDGE ?= $(sort $(wildcard $(DATA)/standard/*/* $(DATA)/judge/*/*))
 OLD_CACHE ?= runs/foreglow/samples
