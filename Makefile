@@ -171,12 +171,12 @@ together: $(VENV)/.dev
 	$(train_together) --recipe related --epochs 14 --seed 2 $(addprefix --teacher ,$(TEACHERS)) --out runs/together \
 	    --cache runs/related_samples
 
-# What `foreglow train --from` mixes in: 3,000 samples of the drives that the model learnt from, made of what its training left, or of
-# the images again; and 2,000 of validation drives, by camera, that judge what it forgets. OLD_DATA, OLD_JUDGE and OLD_CACHE name
-# those drives and the folder of their samples.
+# What `foreglow train --from` mixes in: whole images of the drives that the model learnt from, with 3,000 samples, made of what a
+# training of the recipe related left, or of the images again; and others of validation drives, by camera, that judge what it forgets.
+# OLD_DATA, OLD_JUDGE and OLD_CACHE name those drives and the folder of their samples.
 OLD_DATA ?= $(sort $(MODEL_SETS))
 OLD_JUDGE ?= $(sort $(wildcard $(DATA)/standard/*/* $(DATA)/judge/*/*))
-OLD_CACHE ?= runs/foreglow/samples
+OLD_CACHE ?= runs/related_samples
 old-samples: $(VENV)/.dev
 	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --judge $(OLD_JUDGE) --cache $(OLD_CACHE)
 

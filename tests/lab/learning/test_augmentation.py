@@ -126,6 +126,9 @@ def test_samples_are_blended_with_others_by_at_most_a_half() -> None:
     changes = others[:, 0] - features[:, 0]
     assert changes.abs().max() <= 63 / 2
     assert len(set(changes.tolist())) > 50
+    again, same = blended(images, features, torch.Generator().manual_seed(1), is_compared=True)
+    torch.testing.assert_close(again, found)
+    torch.testing.assert_close(same, features)  # places of a frame's boxes stay
 
 
 def test_stretching_is_by_the_first_channel_and_leaves_constant_ones_black() -> None:

@@ -35,32 +35,33 @@ from foreglow.lab.learning.old_samples import (
     write_old_samples,
 )
 from foreglow.lab.learning.recipes import RECIPES
-from foreglow.lab.learning.samples import NUM_KINDS, Samples
+from foreglow.lab.learning.samples import NUM_KINDS, Samples, set_bounds, set_sizes
 from foreglow.lab.reports import training_pictures
 from foreglow.models import OLD_SAMPLES, model_path
 from tests.cli.commands import complaint, foreglow_command
-from tests.lab.learning.tiny_drives import CONFIG_TOML, make_drives
+from tests.lab.learning.tiny_drives import CONFIG_TOML, doubt, make_drives
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
 NARROW = InputSpec(size_px=32, lag_s=0.25, num_features=7)
+ALONE = RECIPES["foreglow"].inputs
 
 
-def made_up(num_samples: int, seed: int = 0) -> Samples:
+def made_up(num_samples: int, seed: int = 0, set_size: int = 5) -> Samples:
     random = np.random.default_rng(seed)
     labels = random.choice(np.array([1, 0, 0, 0, -1], np.int8), num_samples)
     smooth = cv2.GaussianBlur(random.normal(0, 1, (num_samples * 3 * 32, 32)), (0, 0), 4)
     kinds = np.eye(NUM_KINDS, dtype=np.float32)[np.where(labels == 1, random.integers(0, 4, num_samples), 4)]
     return Samples(
         crops=np.clip(128 + 400 * smooth, 0, 255).astype(np.uint8).reshape(num_samples, 3, 32, 32),
-        features=random.random((num_samples, 9)).astype(np.float32),
+        features=random.random((num_samples, WIDEST.num_features)).astype(np.float32),
         labels=labels,
         kinds=kinds,
         groups=np.where(labels == 1, 0, -1).astype(np.int8),
         boxes_xyxy_px=np.zeros((num_samples, 4), np.int32),
         image_ids=np.arange(num_samples, dtype=np.int64),
         sequence_ids=np.zeros(num_samples, np.int32),
-        sets=np.arange(num_samples, dtype=np.int32),
+        sets=np.arange(num_samples, dtype=np.int32) // set_size,
     )
 
 
@@ -72,7 +73,8 @@ def old_samples(num_samples: int) -> OldSamples:
 
 def model_at(path: Path, spec: InputSpec, num_outputs: int, seed: int = 3) -> CompactNetwork:
     torch.manual_seed(seed)
-    network = CompactNetwork(spec.num_channels, spec.num_features, num_outputs)
+    make = RelatedNetwork if spec.together else CompactNetwork
+    network = make(spec.num_channels, spec.num_features, num_outputs)
     network.train()
     network(torch.rand(16, spec.num_channels, 32, 32), torch.rand(16, spec.num_features))  # moves the statistics
     write_model(network.eval(), spec, path, {})
@@ -90,7 +92,7 @@ def logits_of(network: torch.nn.Module, arrays: dict[str, Any]) -> Any:
         return network(*(torch.from_numpy(array) for array in arrays.values())).numpy()
 
 
-@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (WIDEST, 5)])
+@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (ALONE, 5), (WIDEST, 5)])
 def test_a_model_becomes_the_same_network_again(tmp_path: Path, spec: InputSpec, num_outputs: int) -> None:
     network = model_at(tmp_path / "model.onnx", spec, num_outputs)
     start = read_model(tmp_path / "model.onnx")
@@ -129,11 +131,13 @@ def test_the_samples_that_ship_are_for_the_model_that_ships() -> None:
         assert min(part.num_labelled(0), part.num_labelled(1)) > 50
         assert (part.features[:, 6] > 0).any()  # boxes with a moment of the past
         assert not np.isnan(part.kinds).any()
+        is_lit = [(part.labels[start:end] == 1).any() for start, end in set_bounds(part.sets)]
+        assert min(is_lit.count(True), is_lit.count(False)) > 2  # images with light of a vehicle, and without
     assert len({each.camera for each in old.judge}) == len(old.judge) > 1
-    assert OLD_SAMPLES.stat().st_size <= 3_000_000
+    assert OLD_SAMPLES.stat().st_size <= 4_000_000
 
 
-@pytest.mark.parametrize("spec", [WIDEST, NARROW, InputSpec(size_px=32, context=6)])
+@pytest.mark.parametrize("spec", [WIDEST, ALONE, NARROW, InputSpec(size_px=32, context=6)])
 def test_samples_survive_their_file(tmp_path: Path, spec: InputSpec) -> None:
     old = old_samples(150)
     write_old_samples(tmp_path / "some.npz", old)
@@ -149,6 +153,7 @@ def test_samples_survive_their_file(tmp_path: Path, spec: InputSpec) -> None:
         np.testing.assert_allclose(found.features, samples.features[:, : spec.num_features], atol=1e-3)
         for name in ("labels", "kinds", "image_ids"):
             np.testing.assert_array_equal(getattr(found, name), getattr(samples, name))
+        assert set_sizes(found.sets) == set_sizes(samples.sets)
     write_old_samples(tmp_path / "again.npz", old)
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "some.npz").read_bytes()
 
@@ -157,33 +162,49 @@ def test_samples_of_other_inputs_or_of_nothing_say_so(tmp_path: Path) -> None:
     write_old_samples(tmp_path / "some.npz", old_samples(20))
     with pytest.raises(ValueError, match=r"some\.npz: expected a model that reads no more than"):
         read_old_samples(tmp_path / "some.npz", dataclasses.replace(WIDEST, size_px=64))
-    with pytest.raises(ValueError, match=r"some\.npz: .*; mix in drives instead"):  # single boxes
-        read_old_samples(tmp_path / "some.npz", RECIPES["related"].inputs)
+    with pytest.raises(ValueError, match=r"some\.npz: .*; mix in drives instead"):
+        read_old_samples(tmp_path / "some.npz", dataclasses.replace(WIDEST, lag_s=0.5))
     for content in (b"", b"PK\x05\x06", (tmp_path / "some.npz").read_bytes()[:900]):
         (tmp_path / "some.npz").write_bytes(content)
         with pytest.raises(ValueError, match=r"some\.npz: expected samples as"):
             read_old_samples(tmp_path / "some.npz", WIDEST)
 
 
-def test_chosen_samples_are_of_every_part_and_not_doubtful() -> None:
-    parts = [made_up(200, seed) for seed in (1, 2)]
-    found = chosen(parts, 60)
-    assert (len(found), found.num_labelled(1), found.num_labelled(-1)) == (60, 24, 0)
-    np.testing.assert_array_equal(found.crops, chosen(parts, 60).crops)
+def test_chosen_samples_are_whole_sets_of_every_part() -> None:
+    parts = [made_up(400, seed) for seed in (1, 2)]
+    for part in parts:
+        part.labels[:200] = np.where(part.labels[:200] == 1, 0, part.labels[:200])  # the first half has no light
+        part.labels[200:205] = -1  # one set is wholly doubtful
+    found = chosen(parts, 200)
+    sizes = set_sizes(found.sets)
+    assert set(sizes) == {5}
+    assert len(found) == 200
+    is_lit = np.array([(found.labels[start:end] == 1).any() for start, end in set_bounds(found.sets)])
+    assert is_lit.sum() == 2 * 14
+    assert (found.labels == -1).any()
+    assert not any((found.labels[start:end] == -1).all() for start, end in set_bounds(found.sets))
+    for part, rows in zip(parts, ([*range(70), *range(140, 170)], [*range(70, 140), *range(170, 200)]), strict=True):
+        ids = found.image_ids[rows]
+        assert len(np.unique(ids)) == 100
+        np.testing.assert_array_equal(found.crops[rows], part.crops[ids])
+    np.testing.assert_array_equal(found.crops, chosen(parts, 200).crops)
+    with_empty = chosen([parts[0], parts[1][:200]], 160)  # one without any light: as many with light, of the other
+    assert len(with_empty) == 160
 
 
 def test_the_samples_are_made_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    data = make_drives(tmp_path / "data", num_images=2)
-    model_at(tmp_path / "model.onnx", NARROW, 1)
-    arguments = [str(data), "--judge", str(data), "--model", str(tmp_path / "model.onnx"), "--samples", "10"]
+    data = make_drives(tmp_path / "data", num_images=3)
+    doubt(data / "day/val", 1101)
+    arguments = [str(data), "--judge", str(data), "--samples", "10"]
     main([*arguments, "--out", str(tmp_path / "some.npz"), "--cache", str(tmp_path / "cache")])
     found = read_old_samples(tmp_path / "some.npz", WIDEST)
     said = capsys.readouterr().out
     assert f"{found.learn.num_labelled(1)} boxes with light, {found.learn.num_labelled(0)} without" in said
     (judge,) = found.judge
     assert judge.camera == f"{tmp_path.name}/data"
-    assert f"{len(judge.samples)} to judge by" in said
-    assert min(judge.samples.num_labelled(label) for label in (0, 1)) > 0
+    assert f"; {len(judge.samples)} of {len(set_sizes(judge.samples.sets))} to judge by" in said
+    assert min(judge.samples.num_labelled(label) for label in (0, 1, -1)) > 0
+    assert (judge.samples.labels[judge.samples.image_ids != 1101] >= 0).all()
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +214,7 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_drives(folder / "data", num_images=6)
 
 
-@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (WIDEST, 5)])
+@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (ALONE, 5)])
 def test_a_model_learns_own_drives(
     drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spec: InputSpec, num_outputs: int
 ) -> None:
@@ -231,21 +252,42 @@ def test_a_model_learns_own_drives(
 
 
 def test_what_is_drawn_to_judge_stands_for_all() -> None:
-    samples = made_up(4000)
-    scores = np.random.default_rng(3).random(len(samples)) ** 4
-    found = held_out("a", samples, scores, {1: 120, 0: 300})
-    again = held_out("a", samples, scores, {1: 120, 0: 300})
+    samples = made_up(4000, set_size=4)
+    found = held_out("a", samples, {True: 400, False: 200})
+    again = held_out("a", samples, {True: 400, False: 200})
     np.testing.assert_array_equal(found.samples.image_ids, again.samples.image_ids)
-    for label, wanted in ((1, 120), (0, 300), (-1, 0)):
-        is_drawn = found.samples.labels == label
-        assert abs(is_drawn.sum() - wanted) <= 1
-        assert abs(found.weights[is_drawn].sum() / samples.num_labelled(label) - 1) < 0.05 or not wanted
-    is_dark = found.samples.labels == 0
-    drawn_scores = scores[found.samples.image_ids[is_dark]]
-    assert drawn_scores.mean() > 1.5 * scores[samples.labels == 0].mean()
-    few = held_out("a", samples[:50], scores[:50], {1: 120, 0: 300})
+    assert set(set_sizes(found.samples.sets)) == {4}
+    is_lit = np.array([(each == 1).any() for each in found.samples.labels.reshape(-1, 4)])
+    is_known = np.array([(each >= 0).any() for each in samples.labels.reshape(-1, 4)])
+    assert (abs(4 * is_lit.sum() - 400), abs(4 * (~is_lit).sum() - 200)) <= (4, 4)
+    weights = found.weights.reshape(-1, 4)
+    assert (weights == weights[:, :1]).all()
+    assert found.weights.sum() == pytest.approx(4 * is_known.sum(), rel=0.02)
+    for label in (1, 0, -1):
+        stood_for = found.weights[found.samples.labels == label].sum()
+        assert stood_for == pytest.approx(samples.num_labelled(label), rel=0.15)
+    sums = [held_out("a", samples, {True: 400, False: 200}, seed).weights.sum() for seed in range(9)]
+    assert np.mean(sums) == pytest.approx(4 * is_known.sum(), rel=0.005)
+    few = held_out("a", samples[:48], {True: 400, False: 200})
     assert (few.weights == 1).all()
-    assert len(few.samples) == np.count_nonzero(samples.labels[:50] >= 0)
+    assert len(few.samples) == 4 * is_known[:12].sum()
+
+
+def test_doubtful_boxes_do_not_count(tmp_path: Path) -> None:
+    network = model_at(tmp_path / "model.onnx", WIDEST, 5)
+    samples, weights = made_up(60), np.linspace(1, 5, 60, dtype=np.float32)
+    found = fine_tuning._average_precisions(network, HeldOut("a", samples, weights), torch.device("cpu"))
+    other = dataclasses.replace(
+        samples, groups=np.where(samples.labels == -1, 0, samples.groups).astype(np.int8)
+    )  # what they hold is not looked at
+    assert found == fine_tuning._average_precisions(network, HeldOut("a", other, weights), torch.device("cpu"))
+    alone = model_at(tmp_path / "alone.onnx", dataclasses.replace(WIDEST, together=False), 5)
+    is_known = samples.labels != -1
+    with_all, known = (
+        fine_tuning._average_precisions(alone, HeldOut("a", each, counts), torch.device("cpu"))
+        for each, counts in ((samples, weights), (samples[is_known], weights[is_known]))
+    )
+    assert with_all == pytest.approx(known)
 
 
 def test_boxes_count_as_often_as_they_stand_for() -> None:
@@ -259,7 +301,8 @@ def test_boxes_count_as_often_as_they_stand_for() -> None:
 
 
 def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
-    network = model_at(tmp_path / "model.onnx", WIDEST, 5)
+    spec = dataclasses.replace(WIDEST, together=False)
+    network = model_at(tmp_path / "model.onnx", spec, 5)
     start = read_model(tmp_path / "model.onnx").network
     samples = made_up(60)
     with torch.inference_mode():
@@ -334,18 +377,22 @@ def test_a_model_of_other_boxes(drives: Path, tmp_path: Path) -> None:
 
 def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
-    spec, out = RECIPES["related"].inputs, tmp_path / "mine"
-    torch.manual_seed(3)
-    write_model(RelatedNetwork(spec.num_channels, spec.num_features, 1).eval(), spec, tmp_path / "start.onnx", {})
+    out = tmp_path / "mine"
+    model_at(tmp_path / "start.onnx", WIDEST, 5)
     command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", out, "--device", "cpu"]
-    more = make_drives(tmp_path / "more", num_images=2)  # those that ship have too few features for it
-    command += ["--config", drives.parent / "config.toml", "--mix", more]
+    command += ["--config", drives.parent / "config.toml"]
     for name in ("foreglow", "paper"):
         message = f"expected the recipe related with --from, got {name!r}"
         assert message in complaint(*command, "--recipe", name)
     done = foreglow_command(*command, "--recipe", "related")
     assert done.exit_code == 0, done.output
-    assert json.loads((out / "summary.json").read_text())["recipe"]["network"] == "related"
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["recipe"]["network"] == "related"
+    assert summary["mixed_in"] == OLD_SAMPLES.name
+    assert OnnxClassifier(ClassifierConfig(model=out / "model.onnx")).spec == WIDEST
+    more = make_drives(tmp_path / "more", num_images=2)
+    done = foreglow_command(*command, "--out", tmp_path / "mixed", "--mix", more)
+    assert done.exit_code == 0, done.output
 
 
 @pytest.mark.parametrize(

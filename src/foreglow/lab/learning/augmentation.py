@@ -88,8 +88,12 @@ def augment(
     return crops, features
 
 
-def blended(crops: Tensor, features: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
+def blended(
+    crops: Tensor, features: Tensor, random: torch.Generator, *, is_compared: bool = False
+) -> tuple[Tensor, Tensor]:
     """`crops` and `features` with up to half of another sample blended into each: inputs for a teacher to comment on.
+
+    Features stay for networks that compare the boxes of a frame, since they say how these lie to one another.
 
     Source: the mixup of Beyer et al., arXiv 2106.05237.
     """
@@ -97,7 +101,7 @@ def blended(crops: Tensor, features: Tensor, random: torch.Generator) -> tuple[T
     shares = _uniform(len(crops), 0, 0.5, random).to(crops.device)
     return (
         crops.lerp(crops[others], shares[:, None, None, None]),
-        features.lerp(features[others], shares[:, None]),
+        features if is_compared else features.lerp(features[others], shares[:, None]),
     )
 
 

@@ -212,7 +212,9 @@ def fine_tune(
     repeats, old_repeats = (
         max(1, min(MAX_REPEATS, round(ratio))) for ratio in (len(old) / max(1, len(own)), len(own) / max(1, len(old)))
     )
-    num_seen = repeats * (len(own) - own.num_labelled(IGNORED)) + old_repeats * len(old)
+    num_seen = sum(
+        times * (len(each) - each.num_labelled(IGNORED)) for times, each in ((repeats, own), (old_repeats, old))
+    )
     recipe = changed(recipe, {"epochs": max(1, min(recipe.epochs, round(MAX_SEEN / num_seen)))})
     parts: list[tuple[str, LabelledSource | None, Samples]] = [
         (str(each.root), each, labelled_samples(each, recipe, config, "val", cache, progress)) for each in held_out

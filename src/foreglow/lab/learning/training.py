@@ -322,7 +322,9 @@ class _Trainer:
         sizes = set_sizes(self._samples.sets[batch]) if recipe.inputs.together else [len(batch)]
         if self._teacher is not None:
             is_told = torch.from_numpy(self._teacher.is_told[batch]).to(self._device)
-            crops[is_told], features[is_told] = blended(crops[is_told], features[is_told], random)
+            crops[is_told], features[is_told] = blended(
+                crops[is_told], features[is_told], random, is_compared=recipe.inputs.together
+            )
         crops, features = augment(
             crops,
             features,
