@@ -42,6 +42,16 @@ def test_a_part_of_a_folder_that_is_read(tmp_path: Path) -> None:
     check_outputs({"RUN": run}, {"--json": run / "new.json"}, {})
 
 
+def test_no_new_file_in_a_data_set(tmp_path: Path) -> None:
+    """The same command would be refused when the file is there."""
+    split = make_pvdn(tmp_path / "data")
+    for read in (tmp_path / "data", split):
+        for written in (read / "new.json", split / "labels" / "new.json", split / "images" / "new.json"):
+            with pytest.raises(ValueError, match="expected a file that does not lie in the data set DATA"):
+                check_outputs({"DATA": read}, {"--json": written}, {})
+    check_outputs({"DATA": tmp_path / "data"}, {"--json": tmp_path / "new.json"}, {})
+
+
 def test_a_picture_whose_name_nobody_gave(image: Path) -> None:
     """It has that of the calibration, which may be that of an image of the drive."""
     before = image.read_bytes()
@@ -127,12 +137,12 @@ def test_the_images_of_a_split_are_no_place_for_results(tmp_path: Path) -> None:
         for part in ("images/S00003/out", "images/S00003/deeper/out"):
             with pytest.raises(ValueError, match=r"--out .*expected a new folder for the results, not a part of"):
                 check_outputs({"SOURCE": source}, {}, {"--out": split / part})
-        with pytest.raises(ValueError, match=r"--out .*: expected a file that does not lie among the images of SOURCE"):
+        with pytest.raises(ValueError, match=r"--out .*: expected a file that does not lie in the data set SOURCE"):
             check_outputs({"SOURCE": source}, {"--out": split / "images/S00003/x.json"}, {})
     for part in ("images/out", "labels/out", "simulation/out"):
         with pytest.raises(ValueError, match=r"--out .*expected a new folder for the results, not a part of"):
             check_outputs({"SOURCE": split}, {}, {"--out": split / part})
-    check_outputs({"SOURCE": split}, {"--json": split / "x.json"}, {"--out": split / "out"})
+    check_outputs({"SOURCE": split}, {"--json": tmp_path / "x.json"}, {"--out": split / "out"})
     check_outputs({"SOURCE": split / "images/S00003"}, {}, {"the folder": split / "images/S00003_foreglow"})
 
 
@@ -179,7 +189,7 @@ def test_a_file_of_an_input_folder(tmp_path: Path) -> None:
         path.touch()
     with pytest.raises(ValueError, match="expected a file that does not overwrite a part of SPLIT"):
         check_outputs({"SPLIT": tmp_path / "data"}, {"--json": labels}, {})
-    check_outputs({"SPLIT": tmp_path / "data"}, {"--json": labels.with_name("quality.json")}, {})
+    check_outputs({"SPLIT": tmp_path / "data"}, {"--json": tmp_path / "quality.json"}, {})
     check_outputs({"RUN": tmp_path / "data"}, {"--out": labels.with_name("report.html")}, {})
 
 

@@ -234,8 +234,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite {other} {read}")
             if path.is_file() and path.suffix != ".html" and _lies_in(path, read):
                 raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {other} {read}")
-            if path.suffix != ".html" and _lies_in(path, read) and _is_in_split(path, ("images",)):
-                raise ValueError(f"{name} {path}: expected a file that does not lie among the images of {other} {read}")
+            is_part = path.suffix != ".html" and _lies_in(path, read)
+            if is_part and (_has_split(read) or _is_in_split(path, PARTS_OF_SPLIT)):
+                raise ValueError(f"{name} {path}: expected a file that does not lie in the data set {other} {read}")
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
@@ -423,6 +424,14 @@ def _is_split(folder: Path) -> bool:
     from foreglow.datasets.pvdn import is_split  # only here: the help comes without NumPy
 
     return is_split(folder)
+
+
+def _has_split(folder: Path) -> bool:
+    """Whether a folder is a split in PVDN's format, or a data set of some."""
+    from foreglow.datasets.pvdn.splits import SPLIT_NAMES  # only here: the help comes without NumPy
+
+    splits = (split for name in SPLIT_NAMES for split in (folder / name, *folder.glob(f"*/{name}")))
+    return _is_split(folder) or any(_is_split(split) for split in splits)
 
 
 def _is_in_split(path: Path, parts: Sequence[str]) -> bool:

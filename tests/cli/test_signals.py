@@ -192,6 +192,59 @@ def test_signals_that_come_together_are_one_wish() -> None:
     assert ended(code, signal.SIGINT) == (130, "tidied up\nforeglow: interrupted\n")
 
 
+DROPS = {
+    "callback of a weak reference": """
+        class Referent:
+            pass
+
+        referent = Referent()
+        reference = weakref.ref(referent, kill)
+        del referent
+    """,
+    "__del__": """
+        class Dying:
+            __del__ = kill
+
+        Dying()
+    """,
+}
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize("drop", DROPS)
+def test_a_signal_that_is_dropped_ends_the_command_even_so(drop: str, number: signal.Signals) -> None:
+    program = f"""
+import os, signal, sys, time, weakref
+from foreglow.cli.signals import interruptible
+
+def kill(*_):
+    os.kill(os.getpid(), {int(number)})
+    time.sleep(0)
+
+with interruptible():
+    {textwrap.indent(textwrap.dedent(DROPS[drop]), "    ").strip()}
+    time.sleep(10)
+    print("went on")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "foreglow: interrupted\n")
+
+
+def test_a_signal_that_a_library_drops_makes_no_success() -> None:
+    code = """
+    from foreglow.cli.signals import interruptible
+
+    with interruptible():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+        except BaseException:
+            print("dropped", file=sys.stderr)
+        sys.exit()
+    """
+    assert ended(code, signal.SIGINT) == (130, "dropped\nforeglow: interrupted\n")
+
+
 def test_a_forked_process_ends_by_itself() -> None:
     code = """
     import os, signal

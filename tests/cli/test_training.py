@@ -72,6 +72,9 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     assert summary["samples"]["val"] == {"positive": 12, "negative": 24, "ignored": 0}
     assert (summary["seed"], summary["network"], summary["num_epochs"]) == (5, "compact", 12)
     assert summary["largest_difference_of_export"] < 1e-3
+    figures = summary["validation"]
+    assert f"and shift {figures['shift']:.2f}: calibration error" in done.stdout
+    assert f"calibrated: P {figures['precision']:.3f}, R {figures['recall']:.3f}, F {figures['f1']:.3f}" in done.stdout
     assert summary["model_bytes"] == (out / "model.onnx").stat().st_size
     assert {"version", "commit", "has_local_changes", "seconds", "device", "data"} <= summary.keys()
     with (out / "curves.csv").open(newline="") as file:

@@ -44,6 +44,12 @@ def test_lines_without_a_classifier(tmp_path: Path, line: dict[str, Any]) -> Non
     assert not found.is_scored
 
 
+def test_a_score_of_the_published_form_is_a_probability(tmp_path: Path) -> None:
+    path = _write(tmp_path / "predictions.json", {"7": {"boxes": [[1, 2, 3.5, 4]], "scores": [3.5]}})
+    with pytest.raises(ValueError, match=r"7: scores\.0: expected a number from 0 to 1, got 3\.5"):
+        read_predictions(path)
+
+
 def test_the_published_form(tmp_path: Path) -> None:
     path = _write(tmp_path / "predictions.json", {"7": {"boxes": [[1, 2, 3.5, 4]], "scores": [0.5]}})
     found = read_predictions(path)
@@ -72,6 +78,8 @@ def test_the_published_form(tmp_path: Path) -> None:
             r"line 1: proposals_xyxy_px.1: expected x1, y1, x2, y2 with x1 <= x2 and y1 <= y2, got \[9.*, 1",
         ),
         ([_LINE | {"scores": [1, float("nan")]}], "line 1: scores.1: expected a finite number"),
+        ([_LINE | {"scores": [1, 1.5]}], "line 1: scores.1: expected a number from 0 to 1, got 1.5"),
+        ([_LINE | {"scores": [-0.1, 1]}], "line 1: scores.0: expected a number from 0 to 1, got -0.1"),
         ([{"frame": 7}], "line 1: proposals_xyxy_px: field is missing"),
         (["[]"], "line 1: document: expected an object"),
     ],

@@ -356,10 +356,11 @@ def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
         for name in ("train", "val")
     ]
     lines += [
-        f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}; on the validation boxes "
-        f"P {best['precision']:.3f}, R {best['recall']:.3f}, F {best['f1']:.3f} at a score of 0.5",
-        f"calibrated with temperature {figures['temperature']:.2f}: calibration error "
+        f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}",
+        f"calibrated with temperature {figures['temperature']:.2f} and shift {figures['shift']:.2f}: calibration error "
         f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
+        f"on the validation boxes, calibrated: P {figures['precision']:.3f}, R {figures['recall']:.3f}, "
+        f"F {figures['f1']:.3f} at a score of 0.5",
     ]
     if not (folder / "curves.png").is_file():
         lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")

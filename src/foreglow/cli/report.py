@@ -17,7 +17,7 @@ from foreglow.options import argument, output_file, with_options
 def report(
     run: Annotated[Path, argument("RUN", "Folder of `run`, `beam` or `live`.")],
     out: Annotated[
-        Path | None, output_file("File to write (default: RUN/report.html).", (".html",), metavar="FILE.html")
+        Path | None, output_file("File to write (default: RUN/report.html).", (".html", ".htm"), metavar="FILE.html")
     ] = None,
 ) -> None:
     """Write an HTML page about RUN: tracks, ranges, beam and faults over time, key moments, run-times."""

@@ -16,6 +16,9 @@ from types import FrameType
 PATIENCE_S = 2.0
 """Further signals within this time mean the same wish: they don't disturb the tidying up after the first."""
 
+AGAIN_S = 0.01
+"""A signal that was dropped in a callback comes again after this time, when the callback has mostly ended."""
+
 INTERRUPTED = 130
 """Exit code of shells for a program that was interrupted."""
 
@@ -27,18 +30,21 @@ ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def interruptible() -> Iterator[None]:
     """SIGTERM and SIGHUP raise KeyboardInterrupt in the `with` block, and one that leaves it ends the program.
 
-    A signal that is ignored, as SIGHUP under `nohup`, stays so. Outside the main thread, where Python delivers no
-    signals, they are as they were.
+    One that Python drops comes again, and a block that would end well after one is interrupted, too. A signal that is
+    ignored, as SIGHUP under `nohup`, stays so. Outside the main thread, where Python delivers no signals, they are as
+    they were.
     """
+    handler = _Handler()
     with contextlib.ExitStack() as restoring:
         if threading.current_thread() is threading.main_thread():
-            handler = _Handler()
             for number in (signal.SIGTERM, signal.SIGHUP):
                 if signal.getsignal(number) is signal.SIG_DFL:
                     restoring.callback(_restore, number, handler)
                     signal.signal(number, handler)
+            restoring.enter_context(handler.persistent())
         try:
-            yield
+            with handler.remembered():
+                yield
         except KeyboardInterrupt:
             with contextlib.suppress(OSError):  # a terminal that is gone
                 sys.stderr.write("foreglow: interrupted\n")
@@ -164,6 +170,7 @@ class _Handler:
     def __init__(self) -> None:
         self._process = os.getpid()
         self._raised_s = float("-inf")
+        self._last: int | None = None
 
     def __call__(self, number: int, _frame: FrameType | None) -> None:
         if os.getpid() != self._process:
@@ -171,4 +178,50 @@ class _Handler:
             os.kill(os.getpid(), number)
         elif time.monotonic() - self._raised_s > PATIENCE_S:
             self._raised_s = time.monotonic()
+            self._last = number
             raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def remembered(self) -> Iterator[None]:
+        """Raises KeyboardInterrupt where the `with` block would end well although a signal has come."""
+        try:
+            yield
+        except SystemExit as ending:
+            if ending.code or not self._is_noted:
+                raise
+        if self._is_noted:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def persistent(self) -> Iterator[None]:
+        """Sends a signal again, without a traceback, whose KeyboardInterrupt Python drops in the `with` block.
+
+        It drops what is raised in `__del__` and in callbacks of weak references, such as those of imports.
+        """
+        others = sys.unraisablehook
+
+        def hook(dropped: sys.UnraisableHookArgs) -> None:
+            is_main = threading.current_thread() is threading.main_thread()
+            if not (issubclass(dropped.exc_type, KeyboardInterrupt) and is_main and os.getpid() == self._process):
+                others(dropped)
+                return
+            self._last = self._last or signal.SIGINT
+            again = threading.Timer(AGAIN_S, self._send_again)
+            again.daemon = True
+            with contextlib.suppress(RuntimeError):  # no thread is to be had: it is remembered until the end
+                again.start()
+
+        sys.unraisablehook = hook
+        try:
+            yield
+        finally:
+            sys.unraisablehook = others
+
+    def _send_again(self) -> None:
+        if self._last is not None and signal.getsignal(self._last) is not signal.SIG_DFL:  # the block has not ended
+            self._raised_s = float("-inf")
+            os.kill(self._process, self._last)
+
+    @property
+    def _is_noted(self) -> bool:
+        return self._last is not None and os.getpid() == self._process

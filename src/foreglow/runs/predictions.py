@@ -206,11 +206,14 @@ def _as_boxes(boxes: list[Box], name: str) -> NDArray[np.float64]:
 
 
 def _as_scores(values: Sequence[float | None] | None, num_boxes: int, name: str = "scores") -> NDArray[np.float64]:
-    """Shape (N,), with NaN instead of None; all 1 if there are no values at all."""
+    """Shape (N,), with NaN instead of None; all 1 if there are no values at all; ValueError for one outside 0 to 1."""
     if values is None:
         return np.ones(num_boxes)
     if len(values) != num_boxes:
         raise ValueError(f"{name}: expected {num_boxes}, one a box, got {len(values)}")
+    for index, value in enumerate(values):
+        if value is not None and not 0 <= value <= 1:
+            raise ValueError(f"{name}.{index}: expected a number from 0 to 1, got {value}")
     return np.array(values, np.float64)
 
 

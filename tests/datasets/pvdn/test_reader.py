@@ -37,13 +37,17 @@ def test_time_is_the_sequences_start_plus_the_place_over_18_hz(split: Path) -> N
 
 def test_a_set_may_name_its_own_rate(split: Path) -> None:
     path = split / "labels/image_annotations.json"
+    for index in range(5):
+        edit(path, "images", index, "timestamp", value=None)
     edit(path, "info", "rate_hz", value=10)
     dataset = PVDN(split)
     assert dataset.rate_hz == 10.0
     assert [frame.timestamp_ns for frame in dataset][:2] == [1_500_000_000, 1_600_000_000]
     for value in (0, -5.0, "18", True, None, 2000):
         edit(path, "info", "rate_hz", value=value)
-        with pytest.raises(ValueError, match=r"image_annotations\.json: info\.rate_hz: expected a number above 0"):
+        with pytest.raises(
+            ValueError, match=r"image_annotations\.json: info\.rate_hz: expected a number from 0\.01 to 1000"
+        ):
             PVDN(split)
 
 
@@ -61,11 +65,35 @@ def test_images_of_a_set_with_a_rate_may_be_at_any_times(split: Path) -> None:
     dataset = PVDN(split)
     assert [dataset.time_s(image_id) for image_id in (11, 12, 13, 5, 7)] == [0.0, 0.25, 2.0, 0.0, 0.1]
     assert [dataset.read(image_id).timestamp_ns for image_id in (11, 12)] == [4_500_000_000, 4_750_000_000]
-    for value in (700, "later", None, 1e300):
+    content["info"]["rate_hz"] = 10
+    for image in content["images"]:
+        image["timestamp"] = None
+    path.write_text(json.dumps(content))
+    assert [PVDN(split).time_s(image_id) for image_id in (11, 12, 13)] == [0.0, 0.1, 0.2]
+    for value, words in {
+        700: "more than 700, that of the image before in S00003, got 700",
+        10: "more than 700, that of the image before in S00003, got 10",
+        "later": "milliseconds, or null in all images of S00003, got 'later'",
+        None: "milliseconds, or null in all images of S00003, got None",
+        1e300: "milliseconds, or null in all images of S00003, got 1e+300",
+    }.items():
+        for image in content["images"]:
+            image["timestamp"] = times_ms[image["id"]]
         content["images"][3]["timestamp"] = value  # image 12
-        content["info"]["rate_hz"] = 10
         path.write_text(json.dumps(content))
-        assert [PVDN(split).time_s(image_id) for image_id in (11, 12, 13)] == [0.0, 0.1, 0.2]
+        with pytest.raises(ValueError, match=r"image_annotations\.json: images\.3\.timestamp: expected ") as refused:
+            PVDN(split)
+        assert words in str(refused.value)
+
+
+def test_two_images_of_a_sequence_are_two_files(split: Path) -> None:
+    path = split / "labels/image_annotations.json"
+    edit(path, "images", 3, "file_name", value="000011.png")
+    words = (
+        r"image_annotations\.json: images\.3\.file_name: expected each file of S00003 once, 000011\.png is there twice"
+    )
+    with pytest.raises(ValueError, match=words):
+        PVDN(split)
 
 
 def test_doubtful_light(split: Path) -> None:

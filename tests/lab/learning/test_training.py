@@ -287,6 +287,11 @@ def test_another_training_in_the_folder_is_an_error(tmp_path: Path) -> None:
     run(tmp_path, one)
     with pytest.raises(ValueError, match=r"checkpoint\.pt: learning_rate: expected .* 0\.01, got 0\.02"):
         run(tmp_path, changed(one, {"learning_rate": 0.02}))
+    augmentation = one.augmentation.model_copy(update={"gamma": 0.25})
+    with pytest.raises(
+        ValueError, match=r"checkpoint\.pt: augmentation\.gamma: expected .* here, 0\.2, got 0\.25; choose"
+    ):
+        run(tmp_path, one.model_copy(update={"augmentation": augmentation}))
     with pytest.raises(ValueError, match=r"checkpoint\.pt: train data: expected that of the training begun here"):
         run(tmp_path, one, train=make_samples(300, seed=5))
 

@@ -47,5 +47,5 @@ def _labelled(image_id: int) -> LabelledImage:
         if number == 0:
             place_px = (int(column), int(row))
     light = Instance(position_px=place_px, iid=0, is_direct=image_id % 2 == 1)
-    frame = Frame(np.clip(image, 0, 255).astype(np.uint8), timestamp_ns=0, frame=image_id)
+    frame = Frame(np.clip(image, 0, 255).astype(np.uint8), timestamp_ns=250_000_000 * image_id, frame=image_id)
     return LabelledImage(frame, (Vehicle(position_px=place_px, oid=1, instances=(light,)),))

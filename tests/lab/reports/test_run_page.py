@@ -164,6 +164,11 @@ def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
     assert page.pictures("jpeg") == []
 
 
+def test_a_report_is_called_as_a_page(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"rep\.txt: expected a report whose name ends with \.html or \.htm"):
+        write_report(tmp_path, tmp_path / "rep.txt")
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_report_that_cannot_be_written(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", [made_up(1)])

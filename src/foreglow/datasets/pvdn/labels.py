@@ -36,9 +36,9 @@ def read_labels(split: Path) -> PVDNLabels:
 
     Raises:
         FileNotFoundError: If one of the two files is missing.
-        ValueError: If a file is broken, or they contradict each other or the keypoint files: an id that occurs twice,
-            an image without sequence or sequence without image, a keypoint file without its image, a reference to
-            nothing.
+        ValueError: If a file is broken, or they contradict each other or the keypoint files: an id or, in a sequence,
+            an image file that occurs twice, an image without sequence or sequence without image, a keypoint file
+            without its image, a reference to nothing.
     """
     folder = split / "labels"
     sequences_path, images_path = folder / "sequences.json", folder / "image_annotations.json"
@@ -60,6 +60,7 @@ def read_labels(split: Path) -> PVDNLabels:
     for image_id in images:
         if image_id not in sequence_of:
             raise ValueError(f"{sequences_path}: image_ids: expected image {image_id} of {images_path} in a sequence")
+    _check_names(images_file.images, sequence_of, images_path)
 
     categories: dict[int, tuple[ImageCategory, ...]] = {}
     for index, annotation in enumerate(images_file.annotations):
@@ -104,6 +105,19 @@ def _sequence_of(sequences: Iterable[Sequence], images: dict[int, ImageRecord], 
                 )
             sequence_of[image_id] = sequence
     return sequence_of
+
+
+def _check_names(images: Iterable[ImageRecord], sequence_of: dict[int, Sequence], path: Path) -> None:
+    """Checks that no two images of a sequence are the same file."""
+    names: set[tuple[int, str]] = set()
+    for index, image in enumerate(images):
+        sequence = sequence_of[image.id]
+        if (sequence.id, image.file_name) in names:
+            raise ValueError(
+                f"{path}: images.{index}.file_name: expected each file of {sequence.directory} once, "
+                f"{image.file_name} is there twice"
+            )
+        names.add((sequence.id, image.file_name))
 
 
 def _check_keypoint_files(folder: Path, images: dict[int, ImageRecord]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,13 +31,16 @@ from foreglow.datasets.pvdn.splits import find_split
 from foreglow.datasets.simulated.vehicle import SimulatedVehicle
 from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import equip
+from foreglow.files import shortened
 from foreglow.types import Frame
 
 PVDN_RATE_HZ = 18.0
 """Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
 
-MAX_RATE_HZ = 1000.0
-"""Highest frame rate that a set may state."""
+MIN_RATE_HZ, MAX_RATE_HZ = 0.01, 1000.0
+"""Lowest and highest frame rate that a set may state."""
+
+_MAX_TIME_MS = 2.0**53
 
 _STORED_TO_S = 0.0015  # times are stored as whole milliseconds
 
@@ -116,7 +118,7 @@ class PVDN(LabelledSource):
         self.root, self._directory = find_split(folder)
         self.labels: PVDNLabels = read_labels(self.root)
         self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)
-        self._stored_times_s = _stored_times_s(self.labels)
+        self._stored_times_s = _stored_times_s(self.labels, self.root)
         above = self.root.resolve().parent.name
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
         self._vehicle = SimulatedVehicle(self.root)
@@ -271,23 +273,39 @@ class PVDN(LabelledSource):
 def _rate_hz(info: dict[str, Any], root: Path) -> float:
     """Frames a second: `rate_hz` of the set's `info`, or that of PVDN."""
     rate_hz = info.get("rate_hz", PVDN_RATE_HZ)
-    if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not 0 < rate_hz <= MAX_RATE_HZ:
+    if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         path = root / "labels" / "image_annotations.json"
-        raise ValueError(f"{path}: info.rate_hz: expected a number above 0 and up to {MAX_RATE_HZ:g}, got {rate_hz!r}")
+        wanted = f"a number from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g}"
+        raise ValueError(f"{path}: info.rate_hz: expected {wanted}, got {shortened(rate_hz)}")
     return float(rate_hz)
 
 
-def _stored_times_s(labels: PVDNLabels) -> dict[int, float]:
-    """Seconds since the first image of its sequence, by image, where the set states a rate and its times increase."""
+def _stored_times_s(labels: PVDNLabels, root: Path) -> dict[int, float]:
+    """Seconds since the first image of its sequence, by image, where the set states a rate and has such times.
+
+    Raises:
+        ValueError: If they are no numbers, do not increase, or only some images of a sequence have one.
+    """
     times_s: dict[int, float] = {}
     if "rate_hz" not in labels.images_file.info:
         return times_s
     for sequence in labels.sequences_file.sequences:
         ids = sorted(sequence.image_ids)
-        stored = [labels.images[image_id].timestamp for image_id in ids]
-        known = [time_ms for time_ms in stored if isinstance(time_ms, int | float) and abs(time_ms) <= 2**53]
-        if len(known) == len(ids) and all(first < later for first, later in itertools.pairwise(known)):
-            times_s |= {id_: (time_ms - known[0]) / 1000 for id_, time_ms in zip(ids, known, strict=True)}
+        if all(labels.images[image_id].timestamp is None for image_id in ids):
+            continue
+        known: list[float] = []
+        for image_id in ids:
+            time_ms = labels.images[image_id].timestamp
+            if not isinstance(time_ms, int | float) or abs(time_ms) > _MAX_TIME_MS:
+                wanted = f"milliseconds, or null in all images of {sequence.directory}"
+            elif known and time_ms <= known[-1]:
+                wanted = f"more than {known[-1]:.10g}, that of the image before in {sequence.directory}"
+            else:
+                known.append(time_ms)
+                continue
+            path, index = root / "labels" / "image_annotations.json", list(labels.images).index(image_id)
+            raise ValueError(f"{path}: images.{index}.timestamp: expected {wanted}, got {shortened(time_ms)}")
+        times_s |= {id_: (time_ms - known[0]) / 1000 for id_, time_ms in zip(ids, known, strict=True)}
     return times_s
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 
+from foreglow.files import shortened
 from foreglow.whole_files import open_atomic
 
 NAME = "checkpoint.pt"
@@ -74,11 +75,24 @@ def read_checkpoint(folder: Path, identity: Mapping[str, Any]) -> Checkpoint | N
         *(ValueError, LookupError, AttributeError, TypeError),
     ) as error:
         raise ValueError(f"{path}: expected a whole checkpoint, found it damaged; remove it to start anew") from error
-    for name in sorted(identity.keys() | checkpoint.identity.keys()):
-        before, now = checkpoint.identity.get(name), identity.get(name)
+    began, wanted = _by_field(checkpoint.identity), _by_field(identity)
+    for name in sorted(began.keys() | wanted.keys()):
+        before, now = began.get(name), wanted.get(name)
         if before != now:
             raise ValueError(
-                f"{path}: {name}: expected that of the training begun here, {before!r}, got {now!r}; "
+                f"{path}: {name}: expected that of the training begun here, {shortened(before)}, got {shortened(now)}; "
                 "choose another folder, or remove this one"
             )
     return checkpoint
+
+
+def _by_field(values: Mapping[str, Any], of: str = "") -> dict[str, Any]:
+    """The values that are no tables, by the names of the tables around them and their own.
+
+    >>> _by_field({"seed": 1, "augmentation": {"flip": 0.5}})
+    {'seed': 1, 'augmentation.flip': 0.5}
+    """
+    fields: dict[str, Any] = {}
+    for name, value in values.items():
+        fields |= _by_field(value, f"{of}{name}.") if isinstance(value, Mapping) else {f"{of}{name}": value}
+    return fields

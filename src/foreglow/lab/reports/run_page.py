@@ -206,12 +206,14 @@ def write_report(folder: Path, path: Path | None = None) -> Path:
 
     Raises:
         FileNotFoundError: If that is no folder of a run.
-        ValueError: If one of its files is broken.
+        ValueError: If one of its files is broken, or the name of the report ends as that of another kind of file.
         OSError: If the report cannot be written.
         ModuleNotFoundError: If matplotlib is not installed.
     """
-    run = read_run(folder)
     path = path or folder / "report.html"
+    if path.suffix.lower() not in ("", ".html", ".htm"):
+        raise ValueError(f"{path}: expected a report whose name ends with .html or .htm")
+    run = read_run(folder)
     write_atomic(path, _page(run).html().encode())
     return path
 
