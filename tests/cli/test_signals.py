@@ -281,9 +281,9 @@ def raise_it(*_, kill=os.kill, own=os.getpid(), number=NUMBER):
 
 
 def late(raise_it):
-    import threading
+    import time
 
-    threading.main_thread().join()
+    time.sleep(1)
     raise_it()
 """
 
