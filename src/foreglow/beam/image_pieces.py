@@ -107,7 +107,7 @@ def _share_rough(rows: Image, top: int) -> float:
     left, right = pieces[:, :, :-1], pieces[:, :, 1:]
     steps = np.maximum(left, right) - np.minimum(left, right)
     is_rough = steps.sum(axis=2, dtype=np.uint32) > ROUGH_STEP * top * (piece_px - 1)
-    return int(np.count_nonzero(is_rough)) / is_rough.size
+    return int(np.count_nonzero(is_rough)) / (len(rows) * NUM_ROUGH_PIECES)
 
 
 def _share_twice(rows: Image, top: int) -> float:
