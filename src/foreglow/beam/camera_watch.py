@@ -36,8 +36,8 @@ Measured, in shares of the greatest value: a covered lens with noise of 3 grey l
 NUM_RECENT = 18
 """Images that say what is usual; a second of them at the paper's rate."""
 
-NUM_KNOWN = 500
-"""Images that are known again when one of them comes back; half a minute of them at the paper's rate."""
+NUM_KNOWN = 36
+"""Different images that are known again when one comes back; a driver of V4L2 has at most 32 buffers."""
 
 STILL_SHARE = 0.4
 """An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
@@ -129,7 +129,7 @@ class CameraWatch:
         self._latest_image = b""
         self._comparer.reset()
         self._pieces.reset()
-        self._was_noise = False
+        self._num_noise = 0
         self._stillness.reset()
         self._damage.reset()
 
@@ -162,9 +162,9 @@ class CameraWatch:
         change = self._comparer.compare(image, greatest)
         known_rows, is_repeated, is_back = self._known_rows(rows)
         is_frozen = self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated)
-        is_feigned = pieces.is_noise and self._was_noise and is_moving is True
-        if not is_repeated:
-            self._was_noise = pieces.is_noise
+        if pieces.is_noise or not is_repeated:
+            self._num_noise = self._num_noise + 1 if pieces.is_noise else 0
+        is_feigned = self._num_noise >= 2 and is_moving is True
         if is_frozen or is_feigned or (is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
