@@ -44,7 +44,7 @@ def _image(seed: int) -> Image:
     return image
 
 
-IMAGES = [_image(seed) for seed in range(NUM_KNOWN + 2)]  # so many that none comes again soon
+IMAGES = [_image(seed) for seed in range(2 * NUM_KNOWN + 2)]  # so many that none comes again soon
 
 EXCESS = 1.02
 """A limit may be exceeded by so much: the guard's table has steps of 0.2 degrees; LEDs may be brighter in between."""
