@@ -206,7 +206,8 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
     for where, place in places(lamps, grid):
         lit, states = [], []
         for before, command, same_but_images, age_s, fault in conditions:
-            frame = same_but_images[outcome.num_states % len(IMAGES)]  # copies of a guard share the eye on the camera
+            # Copies of a guard share the eye on the camera, which has seen the first images.
+            frame = same_but_images[(NUM_BEFORE + 1 + outcome.num_states) % len(IMAGES)]
             checked = copy.copy(prepared[before]).check(
                 command,
                 place.tracks,
