@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, options, table, write_results
-from foreglow.beam.camera_watch import NUM_RECENT
+from foreglow.beam.camera_watch import NUM_KNOWN
 from foreglow.beam.guard import Guard
 from foreglow.beam.led_bounds import Lamps
 from foreglow.config import GuardConfig
@@ -44,7 +44,7 @@ def _image(seed: int) -> Image:
     return image
 
 
-IMAGES = [_image(seed) for seed in range(2 * NUM_RECENT + 2)]  # so many that none comes again soon
+IMAGES = [_image(seed) for seed in range(2 * NUM_KNOWN + 2)]  # so many that none comes again soon
 
 EXCESS = 1.02
 """A limit may be exceeded by so much: the guard's table has steps of 0.2 degrees; LEDs may be brighter in between."""
@@ -206,7 +206,8 @@ def sweep(lamps: Lamps, grid: Grid) -> Outcome:
     for where, place in places(lamps, grid):
         lit, states = [], []
         for before, command, same_but_images, age_s, fault in conditions:
-            frame = same_but_images[outcome.num_states % len(IMAGES)]  # copies of a guard share the eye on the camera
+            # Copies of a guard share the eye on the camera, which has seen the first images.
+            frame = same_but_images[(NUM_BEFORE + 1 + outcome.num_states) % len(IMAGES)]
             checked = copy.copy(prepared[before]).check(
                 command,
                 place.tracks,

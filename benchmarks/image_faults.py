@@ -128,10 +128,15 @@ FAULTS: dict[str, Callable[[Sequence[Image], Image], list[Image]]] = {
 
 
 def faults_of(
-    images: Iterable[Image], *, is_moving: bool | None = True, is_damaged: Sequence[bool] = (), rate_hz: float = RATE_HZ
+    images: Iterable[Image],
+    *,
+    is_moving: bool | None = True,
+    is_damaged: Sequence[bool] = (),
+    rate_hz: float = RATE_HZ,
+    white_level: int | None = None,
 ) -> list[list[str]]:
     """What the guard's watch says of each image of a stream."""
-    watch = CameraWatch(GuardConfig())
+    watch = CameraWatch(GuardConfig(white_level=white_level))
     return [
         [
             str(fault)

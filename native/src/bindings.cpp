@@ -164,12 +164,13 @@ auto pair_spacings(const Columns<2>& centres, const Columns<2>& sizes, const Col
     return spacings;
 }
 
-std::optional<foreglow::ImageChange> compare(foreglow::ImageComparer& comparer, const PixelArray& image) {
+std::optional<foreglow::ImageChange> compare(foreglow::ImageComparer& comparer, const PixelArray& image, std::uint16_t top) {
     const foreglow::ImageView view = view_of(image);
     if (view.width_px < 1 || view.height_px < 1) throw nb::value_error("image: expected at least one pixel");
+    if (top < 1) throw nb::value_error("top: expected at least 1");
     nb::gil_scoped_release released;
     foreglow::ImageChange change;
-    return comparer.compare(view, change) ? std::optional(change) : std::nullopt;
+    return comparer.compare(view, top, change) ? std::optional(change) : std::nullopt;
 }
 
 foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
@@ -310,7 +311,8 @@ NB_MODULE(_native, module) {
     nb::class_<foreglow::ImageComparer>(module, "ImageComparer",
                                         "Compares each image with the one before; one object a thread.")
         .def(nb::init<>())
-        .def("compare", &compare, "image"_a, "None for the first image, and where the size or the type is another.")
+        .def("compare", &compare, "image"_a, "top"_a,
+             "None for the first image, and where the size or the type is another.")
         .def("reset", &foreglow::ImageComparer::reset);
     nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
                                             "Weighs hypotheses of ranges; one object a thread.")

@@ -4,7 +4,6 @@
 #include <cstdlib>
 #include <cstring>
 #include <functional>
-#include <limits>
 #include <numeric>
 #include <type_traits>
 
@@ -12,6 +11,7 @@ namespace foreglow {
 namespace {
 
 constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
+constexpr std::int32_t top_level = 255;   // the greatest value has so many 8-bit grey levels
 constexpr std::int32_t edge_levels = 10;  // 8-bit grey levels, in the mean along the edge
 constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
 constexpr std::int64_t max_pieces = 8;    // of a row, to see whether one is flat
@@ -32,10 +32,6 @@ struct Grid {
           lines_down((image.height_px - 1) / block_px),
           lines_across((image.width_px - 1) / block_px) {}
 };
-
-// Of one 8-bit grey level.
-template <typename Pixel>
-constexpr std::int32_t units = std::numeric_limits<Pixel>::max() / 255;
 
 // Eight rows at once where there are so many, so that each sum is written once.
 template <typename Pixel, typename Sum>
@@ -201,7 +197,7 @@ void ImageComparer::digest(const ImageView& image, ImageChange& change) {
     rows.write(change);
 }
 
-bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
+bool ImageComparer::compare(const ImageView& image, std::int32_t top, ImageChange& change) {
     const bool is_u8 = image.pixel_type == PixelType::u8;
     std::swap(before_, now_);
     ImageChange found;
@@ -211,8 +207,8 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
         return false;
     }
     const Grid grid(image);
-    const std::int32_t unit = is_u8 ? units<std::uint8_t> : units<std::uint16_t>;
-    const double mean_levels = 1.0 / static_cast<double>(unit * grid.block_height * grid.block_width);
+    const auto block_area = static_cast<double>(grid.block_height * grid.block_width);
+    const double mean_levels = top_level / (static_cast<double>(top) * block_area);
     change = found;
     changes_.resize(now_.blocks.size());
     for (std::size_t i = 0; i < changes_.size(); ++i) {
@@ -239,7 +235,7 @@ bool ImageComparer::compare(const ImageView& image, ImageChange& change) {
     std::vector<std::uint32_t> strongest(changes_.size() / rare + 1);
     std::partial_sort_copy(changes_.begin(), changes_.end(), strongest.begin(), strongest.end(), std::greater<>());
     change.strongest = strongest.back() * mean_levels;
-    const std::int32_t limit = edge_levels * square_px * unit;
+    const std::int32_t limit = edge_levels * square_px * top / top_level;
     std::int64_t counts[2] = {0, 0};  // the first line of either direction is half a square off the grid
     for (std::int64_t j = 0; j < grid.segments_down; ++j) {
         const std::int64_t first = j * grid.lines_across;

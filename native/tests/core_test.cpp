@@ -233,16 +233,16 @@ void test_changes_of_images_of_any_size() {
     foreglow::ImageChange change;
     for (const auto& [width, height] : {std::pair{1, 1}, {7, 40}, {40, 7}, {8, 8}, {17, 33}, {131, 97}}) {
         Scene<Pixel> scene(width, height, 3, 5);
-        expect(!comparer.compare(scene.view, change), "an image of another size is not compared");
-        expect(comparer.compare(scene.view, change) && change.strongest == 0.0 && change.num_changed == 0 &&
+        expect(!comparer.compare(scene.view, 255, change), "an image of another size is not compared");
+        expect(comparer.compare(scene.view, 255, change) && change.strongest == 0.0 && change.num_changed == 0 &&
                    change.num_edges == 0 && change.num_other_edges == 0,
                "the same image again has not changed");
         for (Pixel& pixel : scene.pixels) pixel = static_cast<Pixel>(pixel + 1);
-        expect(comparer.compare(scene.view, change) && change.num_changed == change.num_samples,
+        expect(comparer.compare(scene.view, 255, change) && change.num_changed == change.num_samples,
                "every sample of a brighter image has changed");
     }
     comparer.reset();
-    expect(!comparer.compare(Scene<Pixel>(131, 97, 3, 5).view, change), "nothing is known after a reset");
+    expect(!comparer.compare(Scene<Pixel>(131, 97, 3, 5).view, 255, change), "nothing is known after a reset");
 }
 
 void test_lamp_pairs() {

@@ -13,9 +13,9 @@ EDGE_LEVELS, RARE = 10, 1000
 NUM_PIECES, NUM_COLUMNS = 8, 160
 
 
-def reference_change(before: NDArray[Any], now: NDArray[Any]) -> dict[str, Any]:
-    """By name, the fields of `_native.ImageChange` for two images of one size and type."""
-    unit = np.iinfo(now.dtype).max // 255  # of one grey level
+def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[str, Any]:
+    """By name, the fields of `_native.ImageChange` for images of one size and type with pixels up to `top`."""
+    unit = top / 255  # of one grey level
     height, width = min(BLOCK_PX, now.shape[0]), min(BLOCK_PX, now.shape[1])
     wide = now.astype(np.int64) - before
     num_down, num_across = now.shape[0] // height, now.shape[1] // width
@@ -59,7 +59,7 @@ def pair_ratios(image: NDArray[Any]) -> NDArray[np.float64]:
     return np.stack([within / between, between / within], axis=1)
 
 
-def num_edges(change: NDArray[np.int64], first_px: int, unit: int) -> int:
+def num_edges(change: NDArray[np.int64], first_px: int, unit: float) -> int:
     """Segments of horizontal lines, every 16 pixels from `first_px` on, across which the change differs."""
     num = change.shape[1] // SQUARE_PX
     jumps = change[first_px::SQUARE_PX, : num * SQUARE_PX] - change[first_px - 1 : -1 : SQUARE_PX, : num * SQUARE_PX]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.beam.camera_watch import NUM_RECENT
+from foreglow.beam.camera_watch import NUM_KNOWN
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
@@ -68,7 +68,7 @@ def noisy_image(seed: int) -> Image:
     return image
 
 
-IMAGES = [noisy_image(seed) for seed in range(2 * NUM_RECENT + 2)]
+IMAGES = [noisy_image(seed) for seed in range(NUM_KNOWN + 12)]  # a few may be left out, and none comes again soon
 
 
 def frame_at(

@@ -127,6 +127,106 @@ def test_an_old_image_between_new_ones(drive: list[Image]) -> None:
     assert all(GuardFault.FROZEN in found for found in faults[NUM_GOOD + 1 :: 2])
 
 
+def part_of_an_old_image(images: Sequence[Image], old: Image, part: float) -> list[Image]:
+    """The left part of the images is that of an old one."""
+    stuck = [image.copy() for image in images]
+    for image in stuck:
+        image[:, : round(part * image.shape[1])] = old[:, : round(part * image.shape[1])]
+    return stuck
+
+
+@pytest.mark.parametrize("is_moving", [True, None])
+@pytest.mark.parametrize("repeated", [24, 30, 38, 39])
+@pytest.mark.parametrize("part", [0.25, 0.5])
+def test_a_stuck_part_soon_after_a_repeated_image(
+    drive: list[Image], part: float, repeated: int, is_moving: bool | None
+) -> None:
+    good = [*drive[: repeated + 1], *drive[repeated:NUM_GOOD]]
+    later = part_of_an_old_image(drive[NUM_GOOD:], good[-1], part)
+    faults = faults_of([*good, *later], is_moving=is_moving)
+    assert not any(faults[: len(good)])
+    assert all(GuardFault.DAMAGED in found for found in faults[len(good) + 1 :])
+
+
+@pytest.mark.parametrize(("every", "rate_hz"), [(1, 36.0), (2, 30.0), (3, 24.0), (5, 30.0), (6, 18.0)])
+def test_a_stuck_part_where_images_are_repeated_in_a_rhythm(drive: list[Image], every: int, rate_hz: float) -> None:
+    later = part_of_an_old_image(drive[NUM_GOOD:], drive[NUM_GOOD - 1], 0.5)
+    repeated = [[image] * (2 if number % every == 0 else 1) for number, image in enumerate([*drive[:NUM_GOOD], *later])]
+    num_good, num_not_seen = (sum(map(len, repeated[:number])) for number in (NUM_GOOD, NUM_GOOD + 1))
+    faults = faults_of(itertools.chain.from_iterable(repeated), rate_hz=rate_hz)
+    assert not any(faults[:num_good])
+    assert all(GuardFault.DAMAGED in found for found in faults[num_not_seen:])
+
+
+def test_a_part_that_stays_stuck_while_the_image_stands_still_and_after_a_torn_one(drive: list[Image]) -> None:
+    (torn,) = part_of_an_old_image(drive[NUM_GOOD : NUM_GOOD + 1], drive[NUM_GOOD - 1], 0.5)
+    good = [*drive[:NUM_GOOD], torn, drive[NUM_GOOD + 1]]
+    stuck = part_of_an_old_image(drive[NUM_GOOD + 2 :], good[-1], 0.5)
+    stuck[20:20] = [stuck[19]]
+    faults = faults_of([*good, *stuck])
+    assert not any(faults[: len(good)])
+    assert all(GuardFault.DAMAGED in found for found in faults[len(good) + 1 :])
+
+
+def test_nothing_but_the_noise_changes_in_images_that_come_twice(drive: list[Image]) -> None:
+    rng = np.random.default_rng(3)
+    noisy = [rng.normal(drive[NUM_GOOD - 1], 5.0).clip(0, 255).astype(np.uint8) for _ in range(NUM_WRONG)]
+    later = [image for image in noisy for _ in range(2)]
+    good = [image for image in drive[:NUM_GOOD] for _ in range(2)]
+    faults = faults_of([*good, *later], rate_hz=36.0)
+    assert not any(faults[: len(good)])
+    assert all(faults[len(good) + 4 :])
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+@pytest.mark.parametrize("is_moving", [True, None])
+def test_cameras_of_more_bits(drive: list[Image], bits: int, is_moving: bool | None) -> None:
+    """Their images are not compared in levels of the type's greatest value, but of `white_level`."""
+    rng = np.random.default_rng(4)
+    top = 2**bits - 1
+    pixel_type = np.uint8 if bits == 8 else np.uint16
+    images = [np.clip(rng.normal(image * (top / 255), top / 255), 0, top).astype(pixel_type) for image in drive]
+    assert not any(faults_of(images, is_moving=is_moving, white_level=top))
+    latest, later = images[NUM_GOOD - 1], images[NUM_GOOD : NUM_GOOD + NUM_WRONG]
+    wrong = {
+        "frozen": [latest] * NUM_WRONG,
+        "half": part_of_an_old_image(later, latest, 0.5),
+        "quarter": part_of_an_old_image(later, latest, 0.25),
+    }
+    for fault, shown in wrong.items():
+        faults = faults_of([*images[:NUM_GOOD], *shown], is_moving=is_moving, white_level=top)
+        assert not any(faults[:NUM_GOOD]), fault
+        assert all(faults[NUM_GOOD + 1 :]), fault
+
+
+@pytest.mark.parametrize("place", ["quarter", "half", "every fourth row", "every other image"])
+def test_nothing_but_noise_in_a_part(drive: list[Image], place: str) -> None:
+    """A link that has lost its bits: noise far above that of any camera."""
+    rng = np.random.default_rng(5)
+    later = [image.copy() for image in drive[NUM_GOOD:]]
+    height, width = drive[0].shape
+    parts: dict[str, Any] = {
+        "quarter": np.s_[height // 2 :, width // 2 :],
+        "half": np.s_[height // 2 :],
+        "every fourth row": np.s_[::4],
+        "every other image": np.s_[:],
+    }
+    for image in later[:: 2 if place == "every other image" else 1]:
+        image[parts[place]] = rng.integers(0, 64 if place == "every other image" else 256, image[parts[place]].shape)
+    faults = faults_of([*drive[:NUM_GOOD], *later])
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD:])
+
+
+def test_the_same_half_twice(drive: list[Image]) -> None:
+    later = [image.copy() for image in drive[NUM_GOOD:]]
+    for image in later:
+        image[:, 240:] = image[:, :240]
+    faults = faults_of([*drive[:NUM_GOOD], *later])
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD:])
+
+
 @pytest.fixture(scope="module")
 def small_camera() -> list[Image]:
     """The drive that ships, 320x240."""
@@ -141,7 +241,7 @@ def test_damage_in_images_of_a_small_camera(small_camera: list[Image], fault: st
     assert all(set(found) & NAMES[fault] for found in faults[NUM_GOOD + 1 :])
 
 
-@pytest.mark.parametrize("num_buffers", [2, 3, 8])
+@pytest.mark.parametrize("num_buffers", [2, 3, 8, 19, 32])
 @pytest.mark.parametrize("is_moving", [True, None])
 def test_a_driver_that_shows_its_old_buffers_in_turn(
     drive: list[Image], num_buffers: int, is_moving: bool | None

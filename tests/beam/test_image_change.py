@@ -41,16 +41,16 @@ def images(shape: tuple[int, int], dtype: Any, seed: int) -> list[Any]:
     return [noise, square, repeated, corner, square, np.zeros(shape, dtype), np.full(shape, top, dtype), noise]
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.uint16, 4095), (np.uint16, 1000)])
 @pytest.mark.parametrize("shape", SIZES)
-def test_equals_the_reference(shape: tuple[int, int], dtype: Any) -> None:
+def test_equals_the_reference(shape: tuple[int, int], dtype: Any, top: int) -> None:
     comparer = _native.ImageComparer()
-    sequence = images(shape, dtype, seed=3)
-    assert comparer.compare(sequence[0]) is None
+    sequence = [image // (np.iinfo(dtype).max // top) for image in images(shape, dtype, seed=3)]
+    assert comparer.compare(sequence[0], top) is None
     for before, now in itertools.pairwise(sequence):
-        change = comparer.compare(now)
+        change = comparer.compare(now, top)
         assert change is not None
-        for name, expected in reference_change(before, now).items():
+        for name, expected in reference_change(before, now, top).items():
             np.testing.assert_allclose(getattr(change, name), expected, rtol=1e-12, atol=1e-12, err_msg=name)
 
 
@@ -59,17 +59,17 @@ def test_any_strides_and_neither_size_nor_type_compared_with_another() -> None:
     strided = [np.asfortranarray(first), second[:, ::-1].copy()[:, ::-1], second[::-1].copy()[::-1]]
     comparer, plain = ImageComparer(), ImageComparer()
     for image in strided:
-        found, expected = comparer.compare(image), plain.compare(np.ascontiguousarray(image))
+        found, expected = comparer.compare(image, 65535), plain.compare(np.ascontiguousarray(image), 65535)
         assert (found is None) == (expected is None)
         if found is not None and expected is not None:
             np.testing.assert_equal(found.tile_shares, expected.tile_shares)
             np.testing.assert_equal(found.pair_ratios, expected.pair_ratios)
             assert found.share_new_edges == expected.share_new_edges
-    assert comparer.compare(first[:96]) is None
-    assert comparer.compare(first[:96].astype(np.uint8)) is None
-    assert comparer.compare(first[:96].astype(np.uint8)) is not None
+    assert comparer.compare(first[:96], 65535) is None
+    assert comparer.compare(first[:96].astype(np.uint8), 255) is None
+    assert comparer.compare(first[:96].astype(np.uint8), 255) is not None
     comparer.reset()
-    assert comparer.compare(first[:96].astype(np.uint8)) is None
+    assert comparer.compare(first[:96].astype(np.uint8), 255) is None
 
 
 def test_one_square_of_the_grid_is_four_sides_of_edges() -> None:
@@ -78,8 +78,8 @@ def test_one_square_of_the_grid_is_four_sides_of_edges() -> None:
     now = before.copy()
     now[32:48, 64:80] += 30
     comparer = ImageComparer()
-    comparer.compare(before)
-    change = comparer.compare(now)
+    comparer.compare(before, 255)
+    change = comparer.compare(now, 255)
     assert change is not None
     assert change.share_new_edges == 4 / 100
     assert change.edge_deviations == 2.0

@@ -13,7 +13,7 @@ namespace foreglow {
 // Tiles across and down for which the share of changed samples is told apart.
 constexpr std::int64_t num_change_tiles = 8;
 
-// Changes are in 8-bit grey levels, whatever the type of the pixels.
+// Changes are in grey levels, of which the greatest value of a pixel has 255.
 struct ImageChange {
     double strongest = 0.0;  // change of the mean that one block of 1,000 exceeds
     std::int64_t num_samples = 0, num_changed = 0;    // pixels compared one by one, and those that are not as before
@@ -37,7 +37,8 @@ struct ImageChange {
 class ImageComparer {
 public:
     // Returns whether there was an image before, of the same size and type; only then `change` is written.
-    bool compare(const ImageView& image, ImageChange& change);
+    // `top` is the greatest value that a pixel may have.
+    bool compare(const ImageView& image, std::int32_t top, ImageChange& change);
 
     // Forgets the image before.
     void reset() { now_ = Digest(); }

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import statistics
 import zlib
-from collections import deque
+from collections import OrderedDict, deque
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
-from foreglow.beam.image_pieces import ImagePieces
+from foreglow.beam.image_pieces import ImagePieces, PieceMeasures
 from foreglow.config import GuardConfig
 from foreglow.types import Image
 
@@ -35,6 +35,9 @@ Measured, in shares of the greatest value: a covered lens with noise of 3 grey l
 
 NUM_RECENT = 18
 """Images that say what is usual; a second of them at the paper's rate."""
+
+NUM_KNOWN = 36
+"""Different images that are known again when one comes back; a driver of V4L2 has at most 32 buffers."""
 
 STILL_SHARE = 0.4
 """An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
@@ -83,6 +86,12 @@ KNOWN_ROWS_SHARE, NOISY_KNOWN_ROWS_SHARE = 0.2, 0.02
 none of the recent images had more than the second number: each had noise. So it is where a decoder or a driver fills
 only a part of an old buffer. Rows of a single value do not count."""
 
+ROUGH_SHARE = 0.1
+"""Damage: so many more pieces of rows than in any of the recent images are noise far above a camera's."""
+
+TWICE_SHARE = 0.2
+"""Damage: so many rows show their left half once more at the right. Noise makes no two halves alike."""
+
 ONE_VALUE_SHARE = 0.05
 """Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
 
@@ -116,9 +125,11 @@ class CameraWatch:
         """Forgets the images so far."""
         self._brightest = 0
         self._recent_rows: deque[NDArray[np.uint32]] = deque(maxlen=NUM_RECENT)
+        self._known_images: OrderedDict[bytes, None] = OrderedDict()
+        self._latest_image = b""
         self._comparer.reset()
         self._pieces.reset()
-        self._was_noise = False
+        self._num_noise = 0
         self._stillness.reset()
         self._damage.reset()
 
@@ -139,25 +150,27 @@ class CameraWatch:
         sample = image[row::step, column::step].ravel()
         brightest = int(sample.max())
         self._brightest = max(self._brightest, brightest)
-        top = _top(image, self._brightest)
         white = self._config.white_level
-        num_white = np.count_nonzero(sample >= (NEAR_TOP * top if white is None else white))
+        top = white or _top(image, self._brightest)
+        num_white = np.count_nonzero(sample >= (white or NEAR_TOP * top))
         is_saturated = num_white > self._config.max_saturated * sample.size
         rows = image[::SUM_ROWS]
-        contrast, is_noise = self._pieces.update(rows, white or top)
-        is_black = brightest <= self._config.min_bright * (white or np.iinfo(image.dtype).max)
-        is_black |= not is_saturated and contrast <= CONTRAST_SHARE * self._config.min_bright
-        change = self._comparer.compare(image)
+        pieces = self._pieces.update(rows, top)
+        greatest = white or int(np.iinfo(image.dtype).max)
+        is_black = brightest <= self._config.min_bright * greatest
+        is_black |= not is_saturated and pieces.contrast <= CONTRAST_SHARE * self._config.min_bright
+        change = self._comparer.compare(image, greatest)
         known_rows, is_repeated, is_back = self._known_rows(rows)
         is_frozen = self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated)
-        is_feigned = is_noise and self._was_noise and is_moving is True
-        self._was_noise = is_noise
+        if pieces.is_noise or not is_repeated:
+            self._num_noise = self._num_noise + 1 if pieces.is_noise else 0
+        is_feigned = self._num_noise >= 2 and is_moving is True
         if is_frozen or is_feigned or (is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
-            is_damaged |= self._damage.update(change, one_value, known_rows, timestamp_ns, is_still=is_still)
+            is_damaged |= self._damage.update(change, pieces, one_value, known_rows, timestamp_ns, is_still=is_still)
         if is_damaged:
             faults.append(GuardFault.DAMAGED)
         if is_saturated:
@@ -167,22 +180,24 @@ class CameraWatch:
         return faults
 
     def _known_rows(self, rows: Image) -> tuple[float, bool, bool]:
-        """Share of rows that recent images had, without those of a single value; whether one image had all rows.
+        """Share of rows that recent images had, without those of a single value; whether the image was there before.
 
         Thirdly, whether such an image comes again after others.
         """
         sums = np.array([zlib.crc32(row.tobytes()) for row in rows], np.uint32)
+        before, self._latest_image = self._latest_image, sums.tobytes()
+        if self._latest_image in self._known_images:
+            share = int(np.count_nonzero(rows.min(axis=1) < rows.max(axis=1))) / len(rows)
+            return share, True, share > KNOWN_ROWS_SHARE and self._latest_image != before
+        self._known_images[self._latest_image] = None
+        if len(self._known_images) > NUM_KNOWN:
+            self._known_images.popitem(last=False)
         alike = [sums == recent for recent in self._recent_rows if recent.shape == sums.shape]
         self._recent_rows.append(sums)
-        if not alike:
-            return 0.0, False, False
-        known = rows[np.logical_or.reduce(alike)]
+        known = rows[np.logical_or.reduce(alike)] if alike else rows[:0]
         if not len(known):
             return 0.0, False, False
-        share = np.count_nonzero(known.min(axis=1) < known.max(axis=1)) / len(rows)
-        is_repeated = any(each.all() for each in alike)
-        is_back = is_repeated and share > KNOWN_ROWS_SHARE and not alike[-1].all()
-        return share, is_repeated, bool(is_back)
+        return int(np.count_nonzero(known.min(axis=1) < known.max(axis=1))) / len(rows), False, False
 
 
 class _Stillness:
@@ -206,7 +221,7 @@ class _Stillness:
     def update(
         self, change: ImageChange | None, timestamp_ns: int, is_moving: bool | None, *, is_repeated: bool = False
     ) -> bool:
-        """Whether the camera is frozen, by how the next image has changed, or as it repeats one of the recent images.
+        """Whether the camera is frozen, by how the next image has changed, or as it repeats an earlier image.
 
         A camera that stands still is not called frozen where our vehicle is known to be slow, nor, where its speed is
         not known, as long as the noise is new: of an image that was there before it is not.
@@ -215,7 +230,8 @@ class _Stillness:
             self.reset()
             self._moved_ns = timestamp_ns
             return False
-        self._fresh.append(change.share_changed)
+        if not is_repeated:
+            self._fresh.append(change.share_changed)
         is_fresh = len(self._fresh) == NUM_FRESH and min(self._fresh) > FRESH_SHARE
         limit = STAYS_STILL_LEVELS if self._num_still else STILL_LEVELS
         if len(self._recent) == NUM_RECENT and not is_fresh:
@@ -235,7 +251,10 @@ class _Stillness:
 
 
 class _Damage:
-    """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts."""
+    """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts.
+
+    An image that is still as a whole says nothing about its parts: it is not usual, nor between two others in a row.
+    """
 
     def __init__(self) -> None:
         self.reset()
@@ -245,12 +264,20 @@ class _Damage:
         self._damaged_ns: int | None = None
 
     def update(
-        self, change: ImageChange | None, one_value: float, known_rows: float, timestamp_ns: int, *, is_still: bool
+        self,
+        change: ImageChange | None,
+        pieces: PieceMeasures,
+        one_value: float,
+        known_rows: float,
+        timestamp_ns: int,
+        *,
+        is_still: bool,
     ) -> bool:
         """Whether the image is damaged, or one shortly before it was.
 
         Args:
             change: What differs from the image before.
+            pieces: What the pieces of its rows say.
             one_value: Share of the image with one and the same value.
             known_rows: Share of the rows that are those of a recent image.
             timestamp_ns: The time of the image.
@@ -258,8 +285,17 @@ class _Damage:
         """
         if change is None:
             self._forget()
-        elif self._is_damaged(change, one_value, known_rows, timestamp_ns, is_still=is_still):
-            self._damaged_ns = timestamp_ns
+        else:
+            has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
+            is_unusual = self._has_unusual_content(change, pieces, one_value)
+            if not is_still:
+                is_unusual |= self._has_old_parts(change, known_rows)
+            if is_unusual or has_edges:
+                self._damaged_ns = timestamp_ns
+            if not (is_unusual or is_still):
+                self._learn(change, pieces, one_value, known_rows, timestamp_ns)
+            elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
+                self._forget()
         return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
 
     def _forget(self) -> None:
@@ -269,58 +305,59 @@ class _Damage:
         self._has_flat_pieces = False
         self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._has_pairs = False
+        self._rough: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._known_rows: deque[float] = deque(maxlen=NUM_RECENT)
         self._has_known_rows = False
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
-        self._latest_shares: NDArray[np.float64] | None = None
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns: int | None = None
 
-    def _is_damaged(
-        self, change: ImageChange, one_value: float, known_rows: float, timestamp_ns: int, *, is_still: bool
-    ) -> bool:
-        could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
-        is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE)
+    def _has_unusual_content(self, change: ImageChange, pieces: PieceMeasures, one_value: float) -> bool:
+        """Whether the image itself is not as recent ones are, or the second in a row where one may be so by chance."""
+        is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE) or pieces.share_twice > TWICE_SHARE
         if len(self._repeated) >= 2:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
-        had_known_rows, self._has_known_rows = self._has_known_rows, False
-        if len(self._known_rows) == NUM_RECENT and max(self._known_rows) <= NOISY_KNOWN_ROWS_SHARE:
-            self._has_known_rows = known_rows > KNOWN_ROWS_SHARE and not is_still
-            is_unusual |= had_known_rows and self._has_known_rows
+            is_unusual |= pieces.share_rough > max(self._rough) + ROUGH_SHARE
         had_flat_pieces, self._has_flat_pieces = self._has_flat_pieces, False
         if len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE:
             self._has_flat_pieces = change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
-            is_unusual |= had_flat_pieces and self._has_flat_pieces
         had_pairs, self._has_pairs = self._has_pairs, False
         if len(self._pair_ratios) == NUM_RECENT:
             are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
             self._has_pairs = bool(are_fallen.all(axis=0).any())
-            is_unusual |= had_pairs and self._has_pairs
+        return is_unusual or (had_flat_pieces and self._has_flat_pieces) or (had_pairs and self._has_pairs)
+
+    def _has_old_parts(self, change: ImageChange, known_rows: float) -> bool:
+        """Whether parts are as before, or as they were earlier, in the second image in a row of those not still."""
+        had_known_rows, self._has_known_rows = self._has_known_rows, False
+        if len(self._known_rows) == NUM_RECENT and max(self._known_rows) <= NOISY_KNOWN_ROWS_SHARE:
+            self._has_known_rows = known_rows > KNOWN_ROWS_SHARE
+        could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
         if len(self._tile_shares) == NUM_RECENT:
-            least = np.minimum.reduce(list(self._tile_shares))
-            if not is_still:
-                self._could_be_stuck = _same_tiles(change.tile_shares, least)
-            is_unusual |= int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
-        if not is_unusual:
-            self._repeated.append(change.share_repeated)
-            self._flat.append(change.share_flat_rows)
-            self._one_value.append(one_value)
-            if not self._has_known_rows:
-                self._known_rows.append(known_rows)
-            if not self._has_flat_pieces:
-                self._flat_pieces.append(change.share_flat_pieces)
-            if not self._has_pairs:
-                self._pair_ratios.append(change.pair_ratios)
-            if self._latest_shares is not None:  # one image later, as the first one with a stuck part is not usual
-                self._tile_shares.append(self._latest_shares)
-            self._latest_shares, self._usual_ns = change.tile_shares, timestamp_ns
-        elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
-            self._forget()
-        has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
-        return is_unusual or has_edges
+            self._could_be_stuck = _same_tiles(change.tile_shares, np.minimum.reduce(list(self._tile_shares)))
+        are_known = had_known_rows and self._has_known_rows
+        return are_known or int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
+
+    def _learn(
+        self, change: ImageChange, pieces: PieceMeasures, one_value: float, known_rows: float, timestamp_ns: int
+    ) -> None:
+        """Counts an image as usual, but for what would be damage in two images in a row."""
+        self._repeated.append(change.share_repeated)
+        self._flat.append(change.share_flat_rows)
+        self._rough.append(pieces.share_rough)
+        self._one_value.append(one_value)
+        if not self._has_known_rows:
+            self._known_rows.append(known_rows)
+        if not self._has_flat_pieces:
+            self._flat_pieces.append(change.share_flat_pieces)
+        if not self._has_pairs:
+            self._pair_ratios.append(change.pair_ratios)
+        if np.count_nonzero(self._could_be_stuck) < NUM_STUCK_TILES:
+            self._tile_shares.append(change.tile_shares)
+        self._usual_ns = timestamp_ns
 
 
 def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:

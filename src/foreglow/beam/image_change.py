@@ -23,7 +23,7 @@ GRID_PX = 16
 
 @dataclass(frozen=True, slots=True)
 class ImageChange:
-    """What differs between two images, in 8-bit grey levels whatever the type of the pixels.
+    """What differs between two images, in grey levels, of which the greatest value of a pixel has 255.
 
     Attributes:
         strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds.
@@ -62,10 +62,13 @@ class ImageComparer:
         """Forgets the image before."""
         self._comparer.reset()
 
-    def compare(self, image: Image) -> ImageChange | None:
-        """What has changed since the image before; None for the first, and where the size or the type is another."""
+    def compare(self, image: Image, top: int) -> ImageChange | None:
+        """What has changed since the image before; None for the first, and where the size or the type is another.
+
+        `top` is the greatest value that a pixel may have.
+        """
         adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
-        change = self._comparer.compare(adjacent)
+        change = self._comparer.compare(adjacent, top)
         if change is None:
             return None
         num_new = change.num_edges - change.num_other_edges

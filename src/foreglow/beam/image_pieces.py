@@ -1,11 +1,15 @@
-"""Whether an image shows anything, and whether it moves: two measures that no noise, however strong or new, can feign.
+"""Whether an image shows anything, whether it moves, and whether a part of it is noise or shows another part again.
 
 Rows are cut into pieces. Where a lens is covered, all pieces are about alike, at whatever level the camera has its
 black. Where a picture stands still, or is nothing but noise, its pieces change by noise alone: by a Gaussian, whose
-99.9th percentile is 4.9 times its median. What moves changes a few pieces by far more than the others.
+99.9th percentile is 4.9 times its median. What moves changes a few pieces by far more than the others. No noise,
+however strong or new, can feign these two measures. A link that has lost its bits, or a memory never written, gives
+noise far above that of any camera; one that is read twice gives the same half image twice.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,6 +33,32 @@ LEAST_NOISE = 1e-3
 """Median change, in shares of the greatest value, below which an encoder has removed the noise, or it was never new."""
 
 
+NUM_ROUGH_PIECES, ROUGH_STEP = 8, 0.04
+"""A piece of a row, one of so many, is rough where neighbouring pixels differ by more than this share of the greatest
+value in the mean; Gaussian noise does so from 9 grey levels on."""
+
+TWICE_CONTRAST = 0.1
+"""A row counts as shown twice from this difference of its pixels on, in shares of the greatest value: below, the colour
+filters of a sensor may make a pattern without noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class PieceMeasures:
+    """What the pieces of an image say.
+
+    Attributes:
+        contrast: The difference of the brightest and the darkest piece, in shares of the greatest value.
+        is_noise: Whether noise alone has changed since the image before.
+        share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
+        share_twice: Share of the rows whose right half is the left one, pixel by pixel.
+    """
+
+    contrast: float
+    is_noise: bool
+    share_rough: float
+    share_twice: float
+
+
 class ImagePieces:
     """Compares the pieces of each image with each other, and with those of the image before."""
 
@@ -39,15 +69,12 @@ class ImagePieces:
         """Forgets the image before."""
         self._before: Floats = np.zeros((0, 0))
 
-    def update(self, rows: Image, top: int) -> tuple[float, bool]:
-        """The contrast of the next image, and whether only its noise differs from the image before.
+    def update(self, rows: Image, top: int) -> PieceMeasures:
+        """The measures of the next image.
 
         Args:
             rows: Some rows of the image, always the same ones.
             top: The greatest value of a pixel.
-
-        Returns:
-            The difference of the brightest and the darkest piece, in shares of `top`; whether noise alone changed.
         """
         piece_px = min(PIECE_PX, rows.shape[1])
         width_px = rows.shape[1] // piece_px * piece_px
@@ -64,4 +91,29 @@ class ImagePieces:
                 changes[middle] > max(LEAST_NOISE, DRIFT_RATIO * drift)
                 and changes[strong] < NOISE_RATIO * changes[middle]
             )
-        return float(means.max() - means.min()), is_noise
+        return PieceMeasures(
+            contrast=float(means.max() - means.min()),
+            is_noise=is_noise,
+            share_rough=_share_rough(rows, top),
+            share_twice=_share_twice(rows, top),
+        )
+
+
+def _share_rough(rows: Image, top: int) -> float:
+    piece_px = rows.shape[1] // NUM_ROUGH_PIECES
+    if piece_px < 2:
+        return 0.0
+    pieces = rows[:, : NUM_ROUGH_PIECES * piece_px].reshape(len(rows), NUM_ROUGH_PIECES, piece_px)
+    left, right = pieces[:, :, :-1], pieces[:, :, 1:]
+    steps = np.maximum(left, right) - np.minimum(left, right)
+    is_rough = steps.sum(axis=2, dtype=np.uint32) > ROUGH_STEP * top * (piece_px - 1)
+    return int(np.count_nonzero(is_rough)) / (len(rows) * NUM_ROUGH_PIECES)
+
+
+def _share_twice(rows: Image, top: int) -> float:
+    middle = rows.shape[1] // 2
+    left, right = rows[:, :middle], rows[:, middle : 2 * middle]
+    again = left[(left == right).all(axis=1)]
+    if not again.size:
+        return 0.0
+    return int(np.count_nonzero(again.max(axis=1) - again.min(axis=1) > TWICE_CONTRAST * top)) / len(rows)
