@@ -76,7 +76,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
 
     Every file appears whole or not at all, and `sequences.json` comes last, when the block ends without an error:
     until then the folder is not a PVDN split. With an error, nothing of the split stays. The reader takes an image's
-    time from its sequence's start and 18 Hz, or `rate_hz` in `info`.
+    time from its sequence's start and 18 Hz, or `rate_hz` in `info`; with that, the times of a sequence's frames have
+    to increase with their ids.
 
     >>> import numpy as np, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
