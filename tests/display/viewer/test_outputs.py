@@ -45,8 +45,9 @@ def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path, tmp_path / "pipe"):
+    (tmp_path / "folder.rrd").mkdir()
+    os.mkfifo(tmp_path / "pipe.rrd")
+    for path in (tmp_path / "folder.rrd", tmp_path / "pipe.rrd"):
         with pytest.raises(OSError, match=r"expected a regular file to overwrite|Is a directory"):
             RrdFile(path, ARRANGED)
 

@@ -200,7 +200,7 @@ def test_splits_to_annotate(tmp_path: Path) -> None:
 
 
 def test_command(tmp_path: Path) -> None:
-    data = make_night_set(tmp_path, ("train", "val"), num_images=2)
+    data = make_night_set(tmp_path / "data", ("train", "val"), num_images=2)
     config, numbers = tmp_path / "gap.toml", tmp_path / "numbers.json"
     config.write_text("[proposals]\ngap_px = 1\n")
     result = foreglow_command("annotate", data, "--config", config, "--json", numbers)
