@@ -44,22 +44,26 @@ ALLOWED: dict[str, set[str]] = {
     "classifier": VALUES | {"models", "_native", "files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
     "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "protobuf"},
-    "runs": VALUES | {"calibration", "files", "whole_files", "outputs", "provenance", "datasets"},
-    "runtime": VALUES | STAGES | BASES | {"calibration", "maps", "outputs", "pipeline", "datasets", "runs"},
+    "runs": VALUES | {"calibration", "files", "whole_files", "folder_lock", "outputs", "provenance", "datasets"},
+    "runtime": VALUES
+    | STAGES
+    | BASES
+    | {"calibration", "maps", "folder_lock", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "whole_files", "datasets", "runs", "runtime"},
+    "folder_lock": set(),
     "outputs": {"files", "datasets"},
     "inputs": {"files", "outputs"},
-    "options": {"config", "beam", "datasets", "files", "inputs", "outputs", "parallel"},
+    "options": {"config", "beam", "datasets", "files", "inputs", "folder_lock", "outputs", "parallel"},
     "lab": set(),
     "lab.simulation": VALUES
     | BASES
-    | {"outputs", "calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
+    | {"folder_lock", "outputs", "calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
     "lab.evaluation": CAR,
-    "lab.learning": CAR | {"models", "outputs", "lab.simulation", "lab.evaluation"},
+    "lab.learning": CAR | {"models", "folder_lock", "outputs", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"outputs", "lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR | {"models", "options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
-    "cli": CAR | LAB | {"options", "outputs", "foreglow"},
+    "cli": CAR | LAB | {"options", "folder_lock", "outputs", "foreglow"},
 }
 """For every room, the other rooms that it may import; "foreglow" is the package's own file, with names of all rooms."""
 

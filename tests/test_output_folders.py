@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from foreglow.outputs import FolderLock, check_outputs, locked, running
+from foreglow.folder_lock import FolderLock, locked
+from foreglow.outputs import check_outputs, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from tests.cli.commands import PNG, complaint, foreglow_command
@@ -39,7 +40,7 @@ def test_a_command_and_what_it_calls_share_the_lock(tmp_path: Path) -> None:
 @pytest.fixture
 def writer(tmp_path: Path) -> Iterator[subprocess.Popen[Any]]:
     code = (
-        "import sys, time; from pathlib import Path; from foreglow.outputs import FolderLock\n"
+        "import sys, time; from pathlib import Path; from foreglow.folder_lock import FolderLock\n"
         "lock = FolderLock(Path(sys.argv[1])); print('locked', flush=True); time.sleep(60)"
     )
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "out")], stdout=subprocess.PIPE, text=True)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.outputs import check_outputs, locked
+from foreglow.folder_lock import locked
+from foreglow.outputs import check_outputs
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from foreglow.whole_files import open_atomic

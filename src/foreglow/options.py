@@ -30,8 +30,9 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from typer.models import OptionInfo
 
+from foreglow.folder_lock import locked
 from foreglow.inputs import named_by
-from foreglow.outputs import check_kinds, check_outputs, exists, locked, running
+from foreglow.outputs import check_kinds, check_outputs, exists, running
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
+from foreglow.folder_lock import check_folder
 from foreglow.lab.studies import STUDIES
 from foreglow.options import (
     DeviceOption,
@@ -20,7 +21,6 @@ from foreglow.options import (
     option,
     with_options,
 )
-from foreglow.outputs import check_folder
 
 experiment = typer.Typer(no_args_is_help=True, help="Run an experiment: figures, tables and a report in a folder.")
 app.add_typer(experiment, name="experiment")

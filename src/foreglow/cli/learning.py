@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from foreglow.cli.app import app
+from foreglow.folder_lock import locked
 from foreglow.options import (
     ConfigOption,
     DeviceOption,
@@ -23,7 +24,7 @@ from foreglow.options import (
     output_file,
     with_options,
 )
-from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own, locked
+from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own
 
 if TYPE_CHECKING:
     from rich.table import Table

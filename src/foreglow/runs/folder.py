@@ -11,7 +11,8 @@ from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import json_text
-from foreglow.outputs import RESULT_NAMES, RUN, FolderLock, check_own, check_replaceable, partial_path
+from foreglow.folder_lock import FolderLock
+from foreglow.outputs import RESULT_NAMES, RUN, check_own, check_replaceable, partial_path
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary_file import LiveSummary, RunSummary

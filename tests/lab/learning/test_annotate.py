@@ -12,9 +12,9 @@ import pytest
 
 from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
 from foreglow.datasets import PVDN
+from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import annotation_quality
 from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, splits_to_annotate
-from foreglow.outputs import FolderLock
 from foreglow.parallel import Local
 from foreglow.proposals import make_proposer
 from tests.cli.commands import complaint, foreglow_command

@@ -16,7 +16,8 @@ from foxglove.mcap import MCAPWriteOptions
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import in_unicode
-from foreglow.outputs import check_replaceable, lock, partial_path
+from foreglow.folder_lock import lock
+from foreglow.outputs import check_replaceable, partial_path
 from foreglow.runs.origin import full_name
 
 

@@ -15,11 +15,11 @@ import pytest
 from foreglow.datasets import PVDN, ImageCategory, open_source
 from foreglow.datasets.pvdn.schema import Cycle
 from foreglow.datasets.simulated import read_truth
+from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import LabelRule, Scene
 from foreglow.lab.simulation.writing import recorder
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
-from foreglow.outputs import FolderLock
 from foreglow.parallel import Local
 from foreglow.whole_files import write_atomic
 from tests.lab.simulation.stub_drive import drive, scene

@@ -38,6 +38,7 @@ from foreglow.datasets.simulated.files import (
     sequence_name,
     write_info,
 )
+from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.production import ProductionConfig
@@ -48,7 +49,6 @@ from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_label
 from foreglow.lab.simulation.writing.recorder import Recorder
 from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write_scenes
 from foreglow.lab.simulation.writing.street_data import StreetDataError, check_ego_on_map
-from foreglow.outputs import FolderLock
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.whole_files import is_temporary
 
