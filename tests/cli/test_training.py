@@ -136,7 +136,7 @@ def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--recipe", "best"], "recipe: expected one of paper, foreglow, related, got 'best'"),
+        (["--recipe", "best"], "recipe: expected one of paper, compact, related, foreglow, got 'best'"),
         (["--precision", "fp16"], "precision: Input should be 'fp32' or 'bf16'"),
         (["--device", "tpu"], "device: expected auto, cpu or cuda, got 'tpu'"),
         (["--recipe-file", "none.toml"], "none.toml: no such file"),

@@ -22,8 +22,8 @@ from foreglow.classifier.session import open_session
 from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import fine_tuning
 from foreglow.lab.learning.model_export import write_model
-from foreglow.lab.learning.model_import import FoldedNetwork, read_model
-from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork
+from foreglow.lab.learning.model_import import FoldedBothNetwork, read_model
+from foreglow.lab.learning.networks import NETWORKS, ArtifactNetwork, learnt_logits
 from foreglow.lab.learning.old_samples import (
     WIDEST,
     HeldOut,
@@ -44,7 +44,7 @@ from tests.lab.learning.tiny_drives import CONFIG_TOML, doubt, make_drives
 pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
 NARROW = InputSpec(size_px=32, lag_s=0.25, num_features=7)
-ALONE = RECIPES["foreglow"].inputs
+ALONE = RECIPES["compact"].inputs
 
 
 def made_up(num_samples: int, seed: int = 0, set_size: int = 5) -> Samples:
@@ -71,14 +71,13 @@ def old_samples(num_samples: int) -> OldSamples:
     return OldSamples(made_up(num_samples), tuple(map(HeldOut, ("a/day", "b/night"), judge, weights)))
 
 
-def model_at(path: Path, spec: InputSpec, num_outputs: int, seed: int = 3) -> CompactNetwork:
+def model_at(path: Path, spec: InputSpec, num_outputs: int, seed: int = 3, network: str = "related") -> Any:
     torch.manual_seed(seed)
-    make = RelatedNetwork if spec.together else CompactNetwork
-    network = make(spec.num_channels, spec.num_features, num_outputs)
-    network.train()
-    network(torch.rand(16, spec.num_channels, 32, 32), torch.rand(16, spec.num_features))  # moves the statistics
-    write_model(network.eval(), spec, path, {})
-    return network
+    made = NETWORKS[network if spec.together else "compact"](spec, num_outputs)
+    made.train()
+    made(torch.rand(16, spec.num_channels, 32, 32), torch.rand(16, spec.num_features))  # moves the statistics
+    write_model(made.eval(), spec, path, {})
+    return made
 
 
 def given(spec: InputSpec) -> dict[str, Any]:
@@ -92,9 +91,12 @@ def logits_of(network: torch.nn.Module, arrays: dict[str, Any]) -> Any:
         return network(*(torch.from_numpy(array) for array in arrays.values())).numpy()
 
 
-@pytest.mark.parametrize(("spec", "num_outputs"), [(NARROW, 1), (ALONE, 5), (WIDEST, 5)])
-def test_a_model_becomes_the_same_network_again(tmp_path: Path, spec: InputSpec, num_outputs: int) -> None:
-    network = model_at(tmp_path / "model.onnx", spec, num_outputs)
+@pytest.mark.parametrize(
+    ("spec", "num_outputs", "name"),
+    [(NARROW, 1, "compact"), (ALONE, 5, "compact"), (WIDEST, 5, "related"), (WIDEST, 1, "both"), (WIDEST, 5, "both")],
+)
+def test_a_model_becomes_the_same_network_again(tmp_path: Path, spec: InputSpec, num_outputs: int, name: str) -> None:
+    network = model_at(tmp_path / "model.onnx", spec, num_outputs, network=name)
     start = read_model(tmp_path / "model.onnx")
     assert start.inputs == spec
     assert (start.has_kinds, start.tells_direct) == (num_outputs == 5, False)
@@ -107,9 +109,17 @@ def test_a_model_becomes_the_same_network_again(tmp_path: Path, spec: InputSpec,
     np.testing.assert_allclose(again, logits_of(network, arrays), atol=1e-4)
 
 
+def test_the_mean_of_two_networks_learns_further_as_a_whole(tmp_path: Path) -> None:
+    model_at(tmp_path / "model.onnx", WIDEST, 5, network="both")
+    network = read_model(tmp_path / "model.onnx").network
+    crops, features = (torch.from_numpy(array) for array in given(WIDEST).values())
+    (learnt,) = learnt_logits(network.train(), crops, features, [5])
+    np.testing.assert_allclose(learnt.detach().numpy(), logits_of(network, given(WIDEST)), atol=1e-5)
+
+
 def test_the_model_that_ships_goes_on_too() -> None:
     start = read_model(Path("foreglow"))
-    assert isinstance(start.network, FoldedNetwork)
+    assert isinstance(start.network, FoldedBothNetwork)
     spec = OnnxClassifier(ClassifierConfig(model=Path("foreglow"))).spec
     assert start.inputs == spec
     expected = open_session(model_path(Path("foreglow")), 1).run(None, given(spec))[0]
@@ -119,7 +129,7 @@ def test_the_model_that_ships_goes_on_too() -> None:
 
 def test_another_network_is_refused(tmp_path: Path) -> None:
     write_model(ArtifactNetwork().eval(), InputSpec(), tmp_path / "paper.onnx", {})
-    with pytest.raises(ValueError, match=r"paper\.onnx: expected a model of the recipe foreglow"):
+    with pytest.raises(ValueError, match=r"paper\.onnx: expected a model of the recipe foreglow, related or compact"):
         read_model(tmp_path / "paper.onnx")
 
 
@@ -314,7 +324,7 @@ def test_weights_move_only_as_far_as_old_samples_allow(tmp_path: Path) -> None:
     known = dataclasses.replace(samples, labels=labels, groups=groups)
     old = [HeldOut("known", known, np.ones(60, np.float32))]
     device = torch.device("cpu")
-    other = read_model(tmp_path / "model.onnx").network
+    other: Any = read_model(tmp_path / "model.onnx").network
     with torch.no_grad():
         other.last.bias.add_(1.0)
         other.last.weight.mul_(2.0)  # the order stays

@@ -70,7 +70,7 @@ def test_a_bad_recipe_names_file_and_field(tmp_path: Path, text: str, message: s
 
 
 def test_an_unknown_recipe_lists_the_known() -> None:
-    with pytest.raises(ValueError, match="recipe: expected one of paper, foreglow, related, got 'best'"):
+    with pytest.raises(ValueError, match="recipe: expected one of paper, compact, related, foreglow, got 'best'"):
         recipe("best")
 
 

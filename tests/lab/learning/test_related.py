@@ -1,9 +1,10 @@
-"""The network that compares the boxes of a frame: as a model, in training, and what it learns that others cannot."""
+"""Networks that compare the boxes of a frame: as models, in training, and what they learn that others cannot."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +18,18 @@ from foreglow.classifier.onnx import MAX_TOGETHER  # noqa: E402
 from foreglow.config import ClassifierConfig  # noqa: E402
 from foreglow.lab.learning.augmentation import COLUMN, PLACES, SIDE, SIZES, augment  # noqa: E402
 from foreglow.lab.learning.batches import set_batches  # noqa: E402
-from foreglow.lab.learning.model_export import largest_difference, write_model  # noqa: E402
-from foreglow.lab.learning.networks import Hearing, RelatedNetwork  # noqa: E402
+from foreglow.lab.learning.model_export import calibrated, largest_difference, write_model  # noqa: E402
+from foreglow.lab.learning.networks import (  # noqa: E402
+    BothNetwork,
+    Hearing,
+    RelatedNetwork,
+    learnt_logits,
+    light_of,
+    logits_of,
+)
 from foreglow.lab.learning.recipes import RECIPES, Augmentation, Recipe, changed  # noqa: E402
 from foreglow.lab.learning.samples import Samples, joined, set_sizes  # noqa: E402
+from foreglow.lab.learning.scores import Calibrator  # noqa: E402
 from foreglow.lab.learning.training import score_samples, train  # noqa: E402
 from foreglow.types import KINDS, Frame, Proposals  # noqa: E402
 
@@ -30,10 +39,13 @@ SPEC = InputSpec(32, 2, None, len(FEATURES), None, together=True)
 CPU = torch.device("cpu")
 
 
-def network(seed: int = 0) -> RelatedNetwork:
+COMPARING = pytest.mark.parametrize("make", [RelatedNetwork, BothNetwork])
+
+
+def network(seed: int = 0, make: type[RelatedNetwork | BothNetwork] = RelatedNetwork) -> Any:
     """A network whose batch normalisations have seen something."""
     torch.manual_seed(seed)
-    made = RelatedNetwork(SPEC.num_channels, SPEC.num_features, 1).train()
+    made = make(SPEC.num_channels, SPEC.num_features, 1).train()
     made(torch.rand(64, 1, 32, 32), torch.rand(64, len(FEATURES)), [40, 24])
     return made.eval()
 
@@ -90,8 +102,9 @@ def test_it_learns_what_no_box_shows_alone(tmp_path: Path, monkeypatch: pytest.M
     assert train(RECIPE, pairs(400, 1), judged, tmp_path).best.f1 > (1 + blind) / 2
 
 
-def test_sets_of_a_batch_do_not_know_of_each_other() -> None:
-    made, samples = network(), pairs(4, 1)
+@COMPARING
+def test_sets_of_a_batch_do_not_know_of_each_other(make: type[RelatedNetwork | BothNetwork]) -> None:
+    made, samples = network(make=make), pairs(4, 1)
     crops, features = torch.from_numpy(samples.crops).float() / 255, torch.from_numpy(samples.features)
     with torch.inference_mode():
         together = made(crops, features, set_sizes(samples.sets)).numpy()
@@ -102,13 +115,34 @@ def test_sets_of_a_batch_do_not_know_of_each_other() -> None:
     np.testing.assert_allclose(score_samples(made, samples, CPU), together, atol=1e-5)
 
 
-def test_the_model_computes_what_the_network_does(tmp_path: Path) -> None:
-    made = network()
+@COMPARING
+def test_the_model_computes_what_the_network_does(make: type[RelatedNetwork | BothNetwork], tmp_path: Path) -> None:
+    made = network(make=make)
     samples = joined([pairs(3, 1), pairs(2, 2)[:9]])  # the last set is cut
     write_model(made, SPEC, tmp_path / "model.onnx", {})
     assert largest_difference(tmp_path / "model.onnx", samples, score_samples(made, samples, CPU)) < 1e-4
     with pytest.raises(ValueError, match="expected the logits of torch"):
-        largest_difference(tmp_path / "model.onnx", samples, score_samples(network(1), samples, CPU))
+        largest_difference(tmp_path / "model.onnx", samples, score_samples(network(1, make), samples, CPU))
+
+
+def test_two_networks_learn_for_themselves_and_are_used_together(tmp_path: Path) -> None:
+    recipe = changed(RECIPE, {"network": "both", "epochs": 2, "augmentation": {"flip": 0.0, "feature_noise": 0.0}})
+    samples = pairs(40, 1)
+    both = train(recipe, samples, pairs(10, 2), tmp_path / "both").network
+    assert isinstance(both, BothNetwork)
+    crops, features = torch.from_numpy(samples.crops).float() / 255, torch.from_numpy(samples.features)
+    sizes = set_sizes(samples.sets)
+    members = [logits_of(both.alone, crops, features[:, :9], sizes), logits_of(both.related, crops, features, sizes)]
+    assert not torch.allclose(*members)
+    torch.testing.assert_close(both(crops, features, sizes), torch.stack(members).mean(0))
+    both.train().zero_grad()
+    learnt = learnt_logits(both, crops, features, sizes)
+    assert len(learnt) == 2
+    learnt[0].sum().backward()  # type: ignore[no-untyped-call]
+    assert all(parameter.grad is None for parameter in both.related.parameters())
+    found = calibrated(both, Calibrator(2.0, 1.0))(crops, features, sizes).detach().numpy()
+    wanted = Calibrator(2.0, 1.0).applied(both.eval()(crops, features, sizes).detach().numpy())
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
 
 
 def test_the_classifier_reads_the_boxes_of_a_frame_together(tmp_path: Path) -> None:
@@ -127,6 +161,37 @@ def test_the_classifier_reads_the_boxes_of_a_frame_together(tmp_path: Path) -> N
         with torch.inference_mode():
             parts.append(made(torch.from_numpy(inputs.crops[part]), torch.from_numpy(inputs.features[part])).numpy())
     np.testing.assert_allclose(scores, 1 / (1 + np.exp(-np.concatenate(parts)[:, 0])), atol=1e-5)
+
+
+@pytest.mark.parametrize("num_outputs", [1, 5])
+def test_boxes_that_are_surely_no_light_are_judged_by_the_first_network_alone(
+    num_outputs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch.manual_seed(0)
+    both, samples = BothNetwork(1, len(FEATURES), num_outputs).eval(), pairs(20, 1)
+    features = torch.from_numpy(samples.features)
+    samples = dataclasses.replace(
+        samples, crops=np.random.default_rng(1).integers(0, 256, samples.crops.shape, np.uint8)
+    )
+    crops = torch.from_numpy(samples.crops).float() / 255
+    with torch.inference_mode():
+        alone = both.alone(crops, features[:, :9])
+        light = light_of(alone).numpy().reshape(-1, 6)
+        monkeypatch.setattr(BothNetwork, "LEAST_LOGIT", float(np.quantile(light, 0.8)))
+        is_shown = light >= np.minimum(light.max(axis=1, keepdims=True), BothNetwork.LEAST_LOGIT)
+        assert is_shown.any(axis=1).all()
+        assert (is_shown.sum(axis=1) > 1).any()
+        wanted = alone.clone()
+        for start in range(0, 120, 6):
+            rows = start + np.flatnonzero(is_shown[start // 6])
+            wanted[rows] = (wanted[rows] + both.related(crops[rows], features[rows])) / 2
+    found = score_samples(both, samples, CPU)
+    np.testing.assert_allclose(found, wanted.numpy(), atol=1e-5)
+    np.testing.assert_allclose(found[~is_shown.ravel()], alone.numpy()[~is_shown.ravel()], atol=1e-5)
+    with torch.inference_mode():
+        np.testing.assert_allclose(both(crops, features, [6] * 20), wanted.numpy(), atol=1e-5)
+    write_model(both, SPEC, tmp_path / "model.onnx", {})
+    assert largest_difference(tmp_path / "model.onnx", samples, wanted.numpy()) < 1e-4
 
 
 def test_batches_are_of_whole_sets_with_labels() -> None:
@@ -161,7 +226,7 @@ def test_lamps_are_left_out_of_a_share_of_the_frames() -> None:
     assert all(10 <= len(each) <= 30 for each in lit)
     assert lit[0] != lit[1]
     with pytest.raises(ValueError, match=r"without_lamps: expected 0 without inputs.together, got 0.5"):
-        changed(RECIPES["foreglow"], {"without_lamps": 0.5})
+        changed(RECIPES["compact"], {"without_lamps": 0.5})
 
 
 def test_boxes_of_a_frame_are_reflected_and_moved_together() -> None:

@@ -141,7 +141,11 @@ def box_figures(
 
 def fitting_recipe(start: StartingPoint) -> str:
     """Name of the recipe that has the model's network."""
-    return "related" if start.inputs.together else "foreglow"
+    from foreglow.lab.learning.networks import BothNetwork
+
+    if not start.inputs.together:
+        return "compact"
+    return "foreglow" if isinstance(start.network, BothNetwork) else "related"
 
 
 def fine_tuning_recipe(start: StartingPoint) -> Recipe:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,14 @@ from torch import nn
 from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.lab.learning.export import Graph, layers_from_state, write_onnx
-from foreglow.lab.learning.networks import ArtifactNetwork, CompactNetwork, RelatedNetwork, Round
+from foreglow.lab.learning.networks import (
+    ArtifactNetwork,
+    BothNetwork,
+    CompactNetwork,
+    RelatedNetwork,
+    Round,
+    members_of,
+)
 from foreglow.lab.learning.samples import Samples, set_bounds
 from foreglow.lab.learning.scores import Calibrator
 from foreglow.types import KINDS
@@ -35,20 +42,21 @@ LICENSE = "Apache-2.0"
 
 
 def calibrated(network: nn.Module, calibrator: Calibrator) -> nn.Module:
-    """A copy of `network` with calibrated logits, by changing its last linear layer.
+    """A copy of `network` with calibrated logits, by changing its last linear layer, or that of each of its members.
 
     Raises:
         ValueError: If the network has no such layer with a bias.
     """
     network = copy.deepcopy(network).eval()
-    linear = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
-    last = network.last if isinstance(network, CompactNetwork) else linear[-1] if linear else None
-    if last is None or last.bias is None or last.out_features not in (1, len(KINDS)):
-        raise ValueError(f"network: expected a linear layer of 1 or {len(KINDS)} outputs, with a bias, at its end")
-    with torch.no_grad():
-        last.weight.div_(calibrator.temperature)
-        last.bias.div_(calibrator.temperature)
-        last.bias[: max(1, last.out_features - 1)].add_(calibrator.shift)
+    for member in members_of(network):
+        linear = [layer for layer in member.modules() if isinstance(layer, nn.Linear)]
+        last = member.last if isinstance(member, CompactNetwork) else linear[-1] if linear else None
+        if last is None or last.bias is None or last.out_features not in (1, len(KINDS)):
+            raise ValueError(f"network: expected a linear layer of 1 or {len(KINDS)} outputs, with a bias, at its end")
+        with torch.no_grad():
+            last.weight.div_(calibrator.temperature)
+            last.bias.div_(calibrator.temperature)
+            last.bias[: max(1, last.out_features - 1)].add_(calibrator.shift)
     return network
 
 
@@ -61,14 +69,15 @@ def write_model(network: nn.Module, spec: InputSpec, path: Path, metadata: Mappi
         ValueError: If it is not one of the networks that can be exported.
         OSError: If it cannot be written.
     """
-    num_outputs = network.last.out_features if isinstance(network, CompactNetwork) else 1
+    members = [member for member in members_of(network) if isinstance(member, CompactNetwork)]
+    num_outputs = members[0].last.out_features if members else 1
     names = KINDS if num_outputs == len(KINDS) else ("light_artifact",)
     metadata = {"names": json.dumps(dict(enumerate(names))), "license": LICENSE, **metadata}
     if isinstance(network, ArtifactNetwork):
         layers = layers_from_state({name: value.numpy() for name, value in network.state_dict().items()})
         write_onnx(layers, path, {"support": str(spec.support), **metadata})
-    elif isinstance(network, CompactNetwork):
-        model = _compact_model(network, spec, metadata)
+    elif members:
+        model = _our_model(members, spec, metadata)
         write_atomic(path, model.SerializeToString(deterministic=True))
     else:
         raise ValueError(f"network: expected one of networks.NETWORKS to export, got {type(network).__name__}")
@@ -98,14 +107,53 @@ def largest_difference(path: Path, samples: Samples, logits: NDArray[np.float32]
     return difference
 
 
-def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[str, str]) -> ModelProto:
-    """`network` as an ONNX model, with its batch normalisation folded into the convolutions: exact up to rounding.
+def _our_model(members: Sequence[CompactNetwork], spec: InputSpec, metadata: Mapping[str, str]) -> ModelProto:
+    """A network, or the mean of two as in `networks.BothNetwork`, as an ONNX model.
 
     The model reads `crops`, float32 (N, C, S, S), and `features`, float32 (N, F), and writes `logits`, float32 (N, 1)
     or (N, 5).
     """
     graph = Graph()
-    name = "crops"
+    if len(members) == 1:
+        _compact(graph, members[0], "crops", "features", output="logits")
+    else:
+        _both(graph, *members)
+    about = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
+    if spec.lag_s is not None:
+        about["lag_s"] = repr(spec.lag_s)
+    if spec.context is not None:
+        about["context"] = str(spec.context)
+    if spec.together:
+        about["together"] = "1"
+    inputs = {"crops": (spec.num_channels, spec.size_px, spec.size_px), "features": (spec.num_features,)}
+    return graph.model(inputs, {"logits": (members[0].last.out_features,)}, about | dict(metadata))
+
+
+def _both(graph: Graph, alone: CompactNetwork, related: CompactNetwork) -> None:
+    """The mean of two networks; `related` judges the boxes that `alone` takes for possible light, or one of them."""
+    columns = (graph.constant(values) for values in ([0], [alone.num_features], [1]))
+    logits = _compact(graph, alone, "crops", graph.node("Slice", "features", *columns))
+    light = logits
+    if alone.last.out_features > 1:
+        kinds, none = (
+            graph.node("Slice", logits, *(graph.constant([value]) for value in bounds))
+            for bounds in ((0, -1, 1), (-1, len(KINDS), 1))
+        )
+        light = graph.node("Sub", graph.node("ReduceLogSumExp", kinds, axes=[1], keepdims=1), none)
+    light = graph.node("Reshape", light, graph.constant([-1]))
+    least = graph.constant(np.array([BothNetwork.LEAST_LOGIT]))
+    least = graph.node("Min", least, graph.node("ReduceMax", light, keepdims=1))
+    is_possible = graph.node("GreaterOrEqual", light, least)
+    chosen = graph.node("Reshape", graph.node("NonZero", is_possible), graph.constant([-1]))
+    crops, features, before = (graph.node("Gather", name, chosen, axis=0) for name in ("crops", "features", logits))
+    mean = graph.node("Mean", before, _compact(graph, related, crops, features))
+    rows = graph.node("Unsqueeze", chosen, graph.constant([1]))
+    graph.node("ScatterND", logits, rows, mean, output="logits")
+
+
+def _compact(graph: Graph, network: CompactNetwork, crops: str, features: str, output: str = "") -> str:
+    """The logits of `network`, its batch normalisation folded into the convolutions: exact up to rounding."""
+    name = crops
     body: list[Any] = list(network.body)
     for convolution, norm in zip(body[0::3], body[1::3], strict=True):  # a ReLU follows each
         scale = _array(norm.weight) / np.sqrt(_array(norm.running_var) + norm.eps)
@@ -122,27 +170,18 @@ def _compact_model(network: CompactNetwork, spec: InputSpec, metadata: Mapping[s
             pads=[side // 2] * 4,
         )
         name = graph.node("Relu", name)
-    name = graph.node("Concat", graph.node("Flatten", name), "features", axis=1)
+    name = graph.node("Concat", graph.node("Flatten", name), features, axis=1)
     name = graph.node("Relu", graph.linear(name, _array(network.hidden.weight), _array(network.hidden.bias)))
     if isinstance(network, RelatedNetwork):
-        name = _related(graph, network, name)
-    graph.linear(name, _array(network.last.weight), _array(network.last.bias), output="logits")
-    about = {"foreglow_version": version("foreglow"), "support": str(spec.support)}
-    if spec.lag_s is not None:
-        about["lag_s"] = repr(spec.lag_s)
-    if spec.context is not None:
-        about["context"] = str(spec.context)
-    if spec.together:
-        about["together"] = "1"
-    inputs = {"crops": (spec.num_channels, spec.size_px, spec.size_px), "features": (spec.num_features,)}
-    return graph.model(inputs, {"logits": (network.last.out_features,)}, about | dict(metadata))
+        name = _related(graph, network, features, name)
+    return graph.linear(name, _array(network.last.weight), _array(network.last.bias), output=output)
 
 
-def _related(graph: Graph, network: RelatedNetwork, hidden: str) -> str:
+def _related(graph: Graph, network: RelatedNetwork, features: str, hidden: str) -> str:
     """What the boxes tell one another, as in `networks.RelatedNetwork`; `hidden` has shape (N, size)."""
-    place = graph.linear("features", _array(network.place.weight), _array(network.place.bias))
+    place = graph.linear(features, _array(network.place.weight), _array(network.place.bias))
     hidden = graph.node("Add", hidden, place)
-    compared = graph.node("Gather", "features", graph.constant(list(network.COMPARED)), axis=1)
+    compared = graph.node("Gather", features, graph.constant(list(network.COMPARED)), axis=1)
     compared = graph.node("Mul", compared, graph.constant(np.array(network.SCALES)))
     tellers, hearers = (graph.node("Unsqueeze", compared, graph.constant([axis])) for axis in (0, 1))
     differences = graph.node("Sub", tellers, hearers)

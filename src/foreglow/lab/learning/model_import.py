@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -12,12 +13,12 @@ import onnx
 import torch
 from numpy.typing import NDArray
 from onnx import numpy_helper
-from torch import nn
+from torch import Tensor, nn
 
 from foreglow.classifier import OnnxClassifier
 from foreglow.classifier.inputs import InputSpec
 from foreglow.config import ClassifierConfig
-from foreglow.lab.learning.networks import CompactNetwork, Hearing, RelatedNetwork
+from foreglow.lab.learning.networks import BothNetwork, CompactNetwork, Hearing, RelatedNetwork, members_of
 from foreglow.models import model_path
 from foreglow.types import KINDS
 
@@ -45,6 +46,19 @@ class FoldedRelatedNetwork(FoldedNetwork, RelatedNetwork):
     """The same of a network that compares the boxes of a frame."""
 
 
+class FoldedBothNetwork(BothNetwork):
+    """The mean of both, which learns further as a whole."""
+
+    def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
+        super().__init__(num_channels, num_features, num_outputs)
+        self.alone = FoldedNetwork(num_channels, self.NUM_FEATURES_ALONE, num_outputs)
+        self.related = FoldedRelatedNetwork(num_channels, num_features, num_outputs)
+
+    def learnt(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> tuple[Tensor, ...]:
+        """The mean, so that neither network changes for the sake of samples on which the mean is right."""
+        return (torch.stack(super().learnt(crops, features, sizes)).mean(0),)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StartingPoint:
     """A model to go on from.
@@ -55,22 +69,19 @@ class StartingPoint:
         inputs: What it reads.
         digest: SHA-256 of the model's file.
         tells_direct: Whether the model also tells lamps from their light, by a logit that the network leaves out.
+        has_kinds: Whether the model tells all kinds of light.
     """
 
     name: str
-    network: FoldedNetwork
+    network: FoldedNetwork | FoldedBothNetwork
     inputs: InputSpec
     digest: str
     tells_direct: bool
-
-    @property
-    def has_kinds(self) -> bool:
-        """Whether the model tells all kinds of light."""
-        return self.network.last.out_features == len(KINDS)
+    has_kinds: bool
 
 
 def read_model(model: Path) -> StartingPoint:
-    """The network of a model of the recipe `foreglow` or `related`: of one that ships, by its name, or of a file.
+    """The network of a model of our recipes: of the one that ships, by its name, or of a file.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -84,29 +95,33 @@ def read_model(model: Path) -> StartingPoint:
     layers = [node for node in graph.node if node.op_type in _OPERATIONS]
     values: list[Any] = [constants.get(name) for node in layers for name in node.input[1:]]
     num_outputs = len(values[-1]) if values and values[-1] is not None else 0
-    make = FoldedRelatedNetwork if spec.together else FoldedNetwork
-    network = make(spec.num_channels, spec.num_features, len(KINDS) if num_outputs == len(KINDS) else 1)
-    wanted = _parameters(network)
-    is_alike = [node.op_type for node in layers] == [name for name, _ in wanted]
+    has_kinds = num_outputs == len(KINDS)
+    network: FoldedNetwork | FoldedBothNetwork
+    for make in (FoldedRelatedNetwork, FoldedBothNetwork) if spec.together else (FoldedNetwork,):
+        network = make(spec.num_channels, spec.num_features, len(KINDS) if has_kinds else 1)
+        wanted = [layer for member in members_of(network) for layer in _parameters(member)]
+        is_alike = [node.op_type for node in layers] == [name for name, _ in wanted]
+        if is_alike:
+            break
     parameters = [parameter for _, layer in wanted for parameter in layer]
     is_alike = is_alike and len(values) == len(parameters)
     for parameter, value in zip(parameters, values, strict=False):
         is_alike = is_alike and value is not None and _fits(parameter, value)
     if not is_alike:
         raise ValueError(
-            f"{path}: expected a model of the recipe foreglow or related, whose network can be trained further"
+            f"{path}: expected a model of the recipe foreglow, related or compact, whose network can be trained further"
         )
     with torch.no_grad():
         for parameter, value in zip(parameters, values, strict=True):
             parameter.copy_(torch.from_numpy(np.array(value[: len(parameter)])))
-        for layer in network.body:
+        for layer in network.modules():
             if isinstance(layer, nn.BatchNorm2d) and layer.running_var is not None:
                 layer.running_var.fill_(1 - layer.eps)
     digest = hashlib.sha256(content).hexdigest()
-    return StartingPoint(str(model), network.eval(), spec, digest, tells_direct=num_outputs == 2)
+    return StartingPoint(str(model), network.eval(), spec, digest, num_outputs == 2, has_kinds)
 
 
-def _parameters(network: CompactNetwork) -> list[tuple[str, tuple[torch.Tensor, ...]]]:
+def _parameters(network: Any) -> list[tuple[str, tuple[torch.Tensor, ...]]]:
     """Operation and parameters of each layer of a model; the bias of a convolution is that of its normalisation.
 
     Products without a bias read their weights transposed.

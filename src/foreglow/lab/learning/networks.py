@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
-from foreglow.classifier.inputs import FEATURES, InputSpec
+from foreglow.classifier.inputs import FEATURES, NUMS_FEATURES, InputSpec
 from foreglow.lab.learning.recipes import Recipe
 
 
@@ -68,6 +68,7 @@ class CompactNetwork(nn.Module):
             *_block(32, 32, 3),
             *_block(32, 32, 3, stride=2),  # 4
         )
+        self.num_features = num_features
         self.hidden = nn.Linear(32 * 4 * 4 + num_features, 48)
         self.dropout = nn.Dropout(0.2)
         self.last = nn.Linear(48, num_outputs)
@@ -136,6 +137,55 @@ class RelatedNetwork(CompactNetwork):
         return torch.cat([differences, across.abs(), torch.log2(distances) / 8, torch.exp(-8 * distances)], dim=-1)
 
 
+class BothNetwork(nn.Module):
+    """The mean of the logits of two networks: one judges each box alone, the other those of a frame together.
+
+    Either is wrong where the other is not: a light alone on a dark road, or one street lamp of a row. In training
+    each learns for itself, since networks that learnt their mean would no longer differ.
+
+    Most boxes hold no light of a vehicle, as the first network alone can tell. In use the second neither judges nor
+    hears those whose logit is below `LEAST_LOGIT`, which saves half of its time; each frame has one that it judges.
+
+    Reads crops (N, C, 32, 32) and all ten features (N, 10), of which the first reads nine; writes logits (N, 1) or
+    (N, 5).
+    """
+
+    NUM_FEATURES_ALONE = NUMS_FEATURES[-2]
+    LEAST_LOGIT = -4.0
+    """Of being light: a score of .018. Were the second network's as high as .9, the mean would be .3."""
+
+    def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
+        super().__init__()
+        self.alone = CompactNetwork(num_channels, self.NUM_FEATURES_ALONE, num_outputs)
+        self.related = RelatedNetwork(num_channels, num_features, num_outputs)
+
+    @property
+    def members(self) -> tuple[CompactNetwork, RelatedNetwork]:
+        """The two networks."""
+        return self.alone, self.related
+
+    def forward(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> Tensor:
+        """The logits of each crop; arguments are those of `RelatedNetwork`."""
+        logits: Tensor = self.alone(crops, features[:, : self.NUM_FEATURES_ALONE]).clone()
+        frames = [len(crops)] if sizes is None else list(sizes)
+        lights = torch.split(light_of(logits.detach()), frames)
+        are_shown = [light >= light.max().clamp(max=self.LEAST_LOGIT) for light in lights]
+        is_shown = torch.cat(are_shown)
+        related = self.related(crops[is_shown], features[is_shown], [int(each.sum()) for each in are_shown])
+        logits[is_shown] = (logits[is_shown] + related) / 2
+        return logits
+
+    def learnt(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> tuple[Tensor, ...]:
+        """The logits of which each has a loss in training: those of either network."""
+        alone: Tensor = self.alone(crops, features[:, : self.NUM_FEATURES_ALONE])
+        related: Tensor = self.related(crops, features, sizes)
+        return alone, related
+
+
+COMPARING = (RelatedNetwork, BothNetwork)
+"""The networks that compare the boxes of a frame."""
+
+
 class Hearing(nn.Module):
     """Which boxes are heard by the others: all; in training, some are not, in each frame another share of them.
 
@@ -184,10 +234,27 @@ def _padded(values: Tensor, is_there: Tensor) -> Tensor:
 
 def logits_of(network: nn.Module, crops: Tensor, features: Tensor, sizes: Sequence[int]) -> Tensor:
     """The logits of crops; networks that compare the boxes of a frame are told how many each frame has."""
-    logits: Tensor = (
-        network(crops, features, sizes) if isinstance(network, RelatedNetwork) else network(crops, features)
-    )
+    logits: Tensor = network(crops, features, sizes) if isinstance(network, COMPARING) else network(crops, features)
     return logits
+
+
+def light_of(logits: Tensor) -> Tensor:
+    """Logits of being light of a vehicle, shape (N,), of logits of it alone, (N, 1), or of all kinds, (N, 5)."""
+    if logits.shape[1] == 1:
+        return logits[:, 0]
+    return torch.logsumexp(logits[:, :-1], dim=1) - logits[:, -1]
+
+
+def members_of(network: nn.Module) -> tuple[nn.Module, ...]:
+    """The networks whose mean a network is; itself alone if it is none."""
+    return network.members if isinstance(network, BothNetwork) else (network,)
+
+
+def learnt_logits(network: nn.Module, crops: Tensor, features: Tensor, sizes: Sequence[int]) -> tuple[Tensor, ...]:
+    """The same, but of a network of several those of each, which learn for themselves."""
+    if isinstance(network, BothNetwork):
+        return network.learnt(crops, features, sizes)
+    return (logits_of(network, crops, features, sizes),)
 
 
 def _block(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
@@ -199,6 +266,7 @@ NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
     "paper": lambda spec, num_outputs: ArtifactNetwork(),  # noqa: ARG005
     "compact": lambda spec, num_outputs: CompactNetwork(spec.num_channels, spec.num_features, num_outputs),
     "related": lambda spec, num_outputs: RelatedNetwork(spec.num_channels, spec.num_features, num_outputs),
+    "both": lambda spec, num_outputs: BothNetwork(spec.num_channels, spec.num_features, num_outputs),
 }
 """Untrained networks by name, for given inputs and a given number of logits."""
 

@@ -128,8 +128,8 @@ class Recipe(FrozenModel):
     def _check(self) -> Recipe:
         if self.schedule == "plateau" and self.warmup_epochs:
             raise ValueError("warmup_epochs: expected 0 with the schedule plateau")
-        if self.inputs.together != (self.network == "related"):
-            wanted = "true" if self.network == "related" else "false"
+        if self.inputs.together != (self.network in ("related", "both")):
+            wanted = "false" if self.inputs.together else "true"
             raise ValueError(f"inputs.together: expected {wanted} with the network {self.network}")
         if self.inputs.together and self.max_negatives_per_positive is not None:
             raise ValueError(
@@ -147,7 +147,7 @@ class Recipe(FrozenModel):
         return len(KINDS) if self.kinds else 1
 
 
-_FOREGLOW = Recipe(
+_COMPACT = Recipe(
     network="compact",
     inputs=InputSpec(size_px=32, lag_s=0.25, num_features=9, context=6),
     jitter=Jitter(num_copies=1),
@@ -182,15 +182,17 @@ _FOREGLOW = Recipe(
 )
 
 # Judges the boxes of a frame together; the samples are half as many without copies, and 12 epochs are enough.
-_RELATED = {
-    "network": "related",
-    "inputs": dataclasses.replace(_FOREGLOW.inputs, num_features=len(FEATURES), together=True),
-    "jitter": Jitter(),
-    "epochs": 12,
-    "without_lamps": 0.2,
-    "max_negatives_per_positive": None,
-    "augmentation": _FOREGLOW.augmentation.model_copy(update={"zoom": 0.5}),
-}
+_RELATED = _COMPACT.model_copy(
+    update={
+        "network": "related",
+        "inputs": dataclasses.replace(_COMPACT.inputs, num_features=len(FEATURES), together=True),
+        "jitter": Jitter(),
+        "epochs": 12,
+        "without_lamps": 0.2,
+        "max_negatives_per_positive": None,
+        "augmentation": _COMPACT.augmentation.model_copy(update={"zoom": 0.5}),
+    }
+)
 
 RECIPES: dict[str, Recipe] = {
     # Paper: 300 epochs, Adam 1e-3, batch 64, weight decay 0.01, BCE. Published code: the rest.
@@ -205,8 +207,9 @@ RECIPES: dict[str, Recipe] = {
         augmentation=Augmentation(flip=0.5, rotation_deg=20.0, min_area=0.8, max_ratio=1.5, gamma=0.2, normalise=True),
         calibration="none",
     ),
-    "foreglow": _FOREGLOW,
-    "related": Recipe(**{**dict(_FOREGLOW), **_RELATED}),
+    "compact": _COMPACT,
+    "related": _RELATED,
+    "foreglow": _RELATED.model_copy(update={"network": "both"}),
 }
 """Recipes by name."""
 

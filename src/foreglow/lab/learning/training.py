@@ -36,7 +36,7 @@ from foreglow.lab.learning.batches import (
     set_batches,
 )
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
-from foreglow.lab.learning.networks import RelatedNetwork, logits_of, recipe_network
+from foreglow.lab.learning.networks import COMPARING, learnt_logits, logits_of, recipe_network
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import Samples, set_bounds, set_sizes
 from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
@@ -193,7 +193,7 @@ def score_samples(
     network.eval()
     count = len(samples)  # at least one batch, to get the shape
     bounds = [(start, min(start + _SCORING_BATCH, count)) for start in range(0, max(count, 1), _SCORING_BATCH)]
-    if isinstance(network, RelatedNetwork) and count:
+    if isinstance(network, COMPARING) and count:
         bounds = set_bounds(samples.sets).tolist()
     logits = []
     with torch.inference_mode(), _precision(precision, device):
@@ -336,19 +336,18 @@ class _Trainer:
         )
         self._optimiser.zero_grad(set_to_none=True)
         with _precision(recipe.precision, self._device):
-            logits = logits_of(self.network, _laid_out(crops), features, sizes)
+            learnt = learnt_logits(self.network, _laid_out(crops), features, sizes)
         is_learnt = torch.from_numpy(self._samples.labels[batch] != IGNORED).to(self._device)
         parts = []
         if self._teacher is not None:
             with torch.no_grad():
                 told = self._told(crops, features, sizes, is_told)
-            parts.append(self._teacher.weight * told_losses(logits[is_told].float(), told))
+            parts += [self._teacher.weight * told_losses(logits[is_told].float(), told) for logits in learnt]
             is_learnt &= ~is_told
-        learnt = batch[is_learnt.cpu().numpy()]
-        weights = torch.from_numpy(self._weights[learnt]).to(self._device)
-        parts.append(
-            weights * (self._kinds_losses if recipe.kinds else self._losses)(logits[is_learnt].float(), learnt)
-        )
+        labelled = batch[is_learnt.cpu().numpy()]
+        weights = torch.from_numpy(self._weights[labelled]).to(self._device)
+        losses = self._kinds_losses if recipe.kinds else self._losses
+        parts += [weights * losses(logits[is_learnt].float(), labelled) for logits in learnt]
         loss = torch.cat(parts).mean()
         loss.backward()  # type: ignore[no-untyped-call]
         if recipe.max_gradient is not None:
