@@ -1,6 +1,6 @@
 # make demo [SOURCE=path], make quick, make test, make check, make wheel, make docs, make bench,
 # make data [DATA=folder] [SCALE=share] [CAMERAS=name,...] [JOBS=number], make pvdn-data, make drives, make model-data, make model,
-# make together, # make old-samples, make reproduce, make simulator-pictures, make simulator-report, make drive.
+# make old-samples, make reproduce, make simulator-pictures, make simulator-report, make drive.
 # PYTHON names the interpreter for the environment. SOURCE is an image, a folder of images, a video, or PVDN; left out, the
 # demo runs on the drive that ships.
 PYTHON ?= python3
@@ -12,7 +12,7 @@ export OMP_WAIT_POLICY ?= PASSIVE
 # Compiling 900 files anew takes a fifth of the quick loop.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo quick test check wheel docs bench data pvdn-data drives model-data model together old-samples reproduce simulator-pictures \
+.PHONY: demo quick test check wheel docs bench data pvdn-data drives model-data model old-samples reproduce simulator-pictures \
     simulator-report drive clean
 
 $(VENV)/bin/python:
@@ -132,51 +132,40 @@ drives: $(VENV)/.dev
 	$(simulate) --out $(DATA)/18hz --split val --scenes 40 --seed 11
 	$(simulate) --out $(DATA)/18hz --split test --scenes 40 --seed 11
 
-# The drives that the model was trained on, in data/model: a tenth of `make data`, and drives by PVDN's camera, also with all of the
-# matrix beam on and without any vehicle's light. Two hours with JOBS=1 on two cores; goes on where it was.
+# The drives that the model is trained on: of the mixture "standard", and in data/model by PVDN's camera on lonely roads, and with all of
+# the matrix beam on and without any vehicle's light. Some ninety minutes with JOBS=2 on two idle cores; goes on where it was.
 draw = $(simulate) --out $(DATA)/model/$(1) --split $(2) --scenes $(3) --seed $(4) --shares foreglow
 pairs = --pairs 0.25 --fps
 both = --camera pvdn_day,pvdn_night $(pairs)
-matrix = --ego-beam matrix
-MODEL_SETS = $(wildcard $(DATA)/standard/*/*) $(wildcard $(DATA)/model/*/day $(DATA)/model/*/*/day $(DATA)/model/*/*/night)
+empty = --ego-beam matrix --empty
+ALL_BUT_DAY = pvdn_night,dashcam,phone,car_hdr,town_dashcam
 model-data: $(VENV)/.dev
-	$(simulate) --out $(DATA)/standard --split train --scenes 58 $(standard)
+	$(simulate) --out $(DATA)/standard --split train --scenes 140 $(standard)
 	$(simulate) --out $(DATA)/standard --split val --scenes 8 $(standard)
 	$(simulate) --out $(DATA)/judge --split val --scenes 8 $(subst --seed 17,--seed 18,$(standard))
-	$(call draw,low,train,12,7) --fps 4
-	$(call draw,low,val,6,7) --fps 4
+	$(call draw,low,train,34,7) --fps 4
+	$(call draw,low,val,8,7) --fps 4
 	$(call draw,pairs,train,20,57) $(pairs) 2.5
-	$(call draw,pairs,val,2,57) $(pairs) 2.5
-	$(call draw,exposures,train,16,8) $(both) 2.5
-	$(call draw,exposures,val,8,7) $(both) 1.25
-	$(call draw,empty,train,9,32) --fps 4 $(matrix) --empty
-	$(call draw,empty,val,5,32) --fps 4 $(matrix) --empty
-	$(call draw,empty_pairs,train,14,58) $(pairs) 2.5 $(matrix) --empty
-	$(call draw,empty_pairs,val,4,58) $(pairs) 2.5 $(matrix) --empty
-	$(call draw,empty_exposures,train,12,33) $(both) 2.5 $(matrix) --empty
-	$(call draw,empty_exposures,val,6,32) $(both) 1.25 $(matrix) --empty
+	$(call draw,exposures,train,8,8) $(both) 2.5
+	$(call draw,exposures,val,3,7) $(both) 1.25
+	$(call draw,empty,train,18,32) --fps 4 $(empty)
+	$(call draw,empty,val,5,32) --fps 4 $(empty)
+	$(call draw,empty_pairs,train,6,58) $(pairs) 2.5 $(empty)
+	$(call draw,empty_standard,train,24,61) --mixture standard $(pairs) 1 --camera $(ALL_BUT_DAY) $(empty)
 
-# The model that ships, trained on these drives, in about 20 minutes of one core: one thread, for the same bits each time.
+# The model that ships, trained on these drives in about forty minutes of one core: one thread, for the same bits each time.
+MODEL_SETS = $(wildcard $(DATA)/standard/*/*) $(addprefix $(DATA)/model/,low/day empty/day exposures/pvdn_day/day \
+    exposures/pvdn_night/night pairs/day/train empty_pairs/day/train) $(wildcard $(DATA)/model/empty_standard/*/*/train)
 model: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --recipe foreglow --preset foreglow --out runs/foreglow
+	OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --out runs/foreglow --cache runs/samples
 	cp runs/foreglow/model.onnx src/foreglow/models/foreglow.onnx
 
-# A model like `together`, which compares the boxes of an image, and learns from others as well: an hour of one core.
-TEACHERS = src/foreglow/models/foreglow.onnx $(addprefix runs/,$(addsuffix /model.onnx,alone related related2))
-train_together = OMP_NUM_THREADS=1 $(BIN)/foreglow train $(sort $(MODEL_SETS)) --preset foreglow
-together: $(VENV)/.dev
-	$(train_together) --recipe foreglow --epochs 24 --out runs/alone
-	$(train_together) --recipe related --epochs 6 --out runs/related --cache runs/related_samples
-	$(train_together) --recipe related --epochs 10 --seed 2 --out runs/related2 --cache runs/related_samples
-	$(train_together) --recipe related --epochs 14 --seed 2 $(addprefix --teacher ,$(TEACHERS)) --out runs/together \
-	    --cache runs/related_samples
-
-# What `foreglow train --from` mixes in: whole images of the drives that the model learnt from, with 3,000 samples, made of what a
-# training of the recipe related left, or of the images again; and others of validation drives, by camera, that judge what it forgets.
+# What `foreglow train --from` mixes in: whole images of the drives that the model learnt from, with 3,000 samples, made of what
+# `make model` left, or of the images again; and others of validation drives, by camera, that judge what it forgets.
 # OLD_DATA, OLD_JUDGE and OLD_CACHE name those drives and the folder of their samples.
-OLD_DATA ?= $(sort $(MODEL_SETS))
+OLD_DATA ?= $(sort $(patsubst %/train,%,$(MODEL_SETS)))
 OLD_JUDGE ?= $(sort $(wildcard $(DATA)/standard/*/* $(DATA)/judge/*/*))
-OLD_CACHE ?= runs/related_samples
+OLD_CACHE ?= runs/samples
 old-samples: $(VENV)/.dev
 	$(BIN)/python -m foreglow.lab.learning.old_samples $(OLD_DATA) --judge $(OLD_JUDGE) --cache $(OLD_CACHE)
 

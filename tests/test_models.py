@@ -16,9 +16,8 @@ from tests.shared_data import shared_file
 from tests.stand_ins import night_image
 
 
-@pytest.mark.parametrize("name", BUNDLED)
-def test_every_model_has_a_card_and_is_small(name: str) -> None:
-    path = model_path(Path(name))
+def test_it_has_a_card_and_is_small() -> None:
+    path = model_path(Path(BUNDLED))
     assert path.stat().st_size <= 1_000_000
     assert path.with_suffix(".md").read_text(encoding="utf-8").startswith("# ")
 
@@ -32,10 +31,10 @@ def test_the_default_pipeline_classifies() -> None:
         assert len(result.detections) == len(result.proposals)
 
 
-def test_it_reads_a_moment_of_the_past() -> None:
+def test_it_reads_a_moment_of_the_past_and_all_boxes_together() -> None:
     spec = OnnxClassifier(foreglow.preset("foreglow").classifier).spec
     assert spec.lag_s == pytest.approx(0.25)
-    assert spec.num_features == 9
+    assert spec.together
 
 
 def test_the_model_tells_kinds() -> None:
@@ -45,17 +44,6 @@ def test_the_model_tells_kinds() -> None:
         assert detections is not None
         assert detections.light_kinds.shape == (len(detections), 4)
         assert len(detections) == 0 or np.isfinite(detections.light_kinds).all()
-
-
-def test_the_other_model_compares_boxes_and_tells_kinds() -> None:
-    config = foreglow.preset("foreglow")
-    classifier = config.classifier.model_copy(update={"model": Path("together")})
-    pipeline = foreglow.Pipeline(config.model_copy(update={"classifier": classifier}))
-    assert OnnxClassifier(classifier).spec.together
-    for number in range(3):
-        detections = pipeline.step(Frame(night_image(number, 960, 1280), number * 55_555_556)).detections
-        assert detections is not None
-        assert np.isfinite(detections.light_kinds).all()
 
 
 def test_a_drive_scores_alike_whenever_it_comes() -> None:

@@ -228,7 +228,7 @@ ReportOption = Annotated[Path, folder("Folder for the report.")]
 ConfigOption = Annotated[Path | None, file("TOML file whose fields override the preset.")]
 ModelOption = Annotated[
     Path | None,
-    file("ONNX model of the classifier, or foreglow or together, which ship; overrides that of the configuration."),
+    file("ONNX model of the classifier, or foreglow, which ships; overrides that of the configuration."),
 ]
 CalibrationOption = Annotated[
     Path | None, file("Calibration of the camera (TOML), so that boxes and tracks get ranges.")

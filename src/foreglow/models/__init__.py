@@ -1,24 +1,24 @@
-"""The models that ship with Foreglow; each has a card beside it that says what it was trained on and what it can do."""
+"""The model that ships with Foreglow; the card beside it says what it was trained on and what it can do."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-BUNDLED = ("foreglow", "together")
-"""Names of the models; the first is the default."""
+BUNDLED = "foreglow"
+"""Name of the model."""
 
 OLD_SAMPLES = Path(__file__).parent / "foreglow_samples.npz"
 """A little of what the model learnt from, for training it further; `foreglow.lab.learning.old_samples` makes it."""
 
 
 def model_path(model: Path) -> Path:
-    """Where the model lies: that of the package for one of the names in `BUNDLED`, else `model` itself.
+    """Where the model lies: that of the package for the name `BUNDLED`, else `model` itself.
 
     >>> model_path(Path("foreglow")).name
     'foreglow.onnx'
     >>> model_path(Path("runs/mine/model.onnx")).as_posix()
     'runs/mine/model.onnx'
     """
-    if str(model) in BUNDLED:
+    if str(model) == BUNDLED:
         return Path(__file__).parent / f"{model}.onnx"
     return model

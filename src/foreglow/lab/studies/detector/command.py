@@ -46,7 +46,7 @@ def command(
     no_training: Annotated[bool, flag("--no-training", "Only rows whose model is given.")] = False,
     rows: Annotated[str | None, option("NAME,NAME", "Only these rows (default: all).")] = None,
     epochs_paper: Annotated[int | None, option("N", "At most N epochs of training by recipe paper.", min=1)] = None,
-    epochs_ours: Annotated[int | None, option("N", "At most N epochs of training by recipe foreglow.", min=1)] = None,
+    epochs_ours: Annotated[int | None, option("N", "At most N epochs of training by recipes compact and foreglow.", min=1)] = None,
     patience: PatienceOption = None,
     yolo_epochs: Annotated[int, option("N", "Number of epochs of the YOLOs.", min=1)] = 3,
     yolo_image_size: Annotated[int, option("PX", "Side of the YOLOs' images, a multiple of 32.")] = 320,
@@ -74,7 +74,7 @@ def command(
         "yolo-small": yolo_small,
         "yolo-large": yolo_large,
     }
-    epochs = {"paper": epochs_paper, "foreglow": epochs_ours}
+    epochs = {"paper": epochs_paper, "compact": epochs_ours, "foreglow": epochs_ours}
     plan = DetectorPlan(
         rows=tuple(ROWS) if rows is None else listed("--rows", rows),
         given={name: model_path(path) for name, path in given.items() if path is not None},

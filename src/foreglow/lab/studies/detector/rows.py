@@ -69,8 +69,8 @@ ROWS: dict[str, RowSpec] = {
     "paper": RowSpec("Paper's preset and network", "classifier", "paper", "--paper-model", "paper"),
     # The weights are older than the paper: they were learnt on the baseline's boxes.
     "published": RowSpec("Baseline's preset, published weights", "classifier", "baseline", "--published"),
-    "compact": RowSpec("Paper's preset, compact network", "classifier", "paper", "--compact-model", "foreglow"),
-    "ours": RowSpec("Ours: preset foreglow, compact network", "classifier", "foreglow", "--our-model", "foreglow"),
+    "compact": RowSpec("Paper's preset, compact network", "classifier", "paper", "--compact-model", "compact"),
+    "ours": RowSpec("Ours: preset foreglow, our network", "classifier", "foreglow", "--our-model", "foreglow"),
     "yolo-small": RowSpec("YOLO, small", "yolo", "paper", "--yolo-small", size="s"),
     "yolo-large": RowSpec("YOLO, large", "yolo", "paper", "--yolo-large", size="x"),
 }

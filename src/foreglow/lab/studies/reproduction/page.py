@@ -62,7 +62,7 @@ HERE = "measured here"
 CHAIN = "the paper's chain"
 
 WORDS = {
-    OURS: "our pipeline with the model that ships: proposals, compact network, estimator road_surface, our tracker, "
+    OURS: "our pipeline with the model that ships: proposals, network, estimator road_surface, our tracker, "
     "and our beam policy",
     CHAIN: "the paper's proposals, its network as trained here, the ground plane (GP), its tracker, and its beam "
     "policy (policy paper); the paper's detector: the first two of these",
