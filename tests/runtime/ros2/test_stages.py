@@ -233,3 +233,9 @@ def test_a_bus_that_failed_is_told_to_the_guard() -> None:
         made.node.close()
         made.ros.destroy_node()
         rclpy.shutdown()
+
+
+def test_a_parameter_of_ros_that_is_of_another_kind() -> None:
+    """It was an internal error."""
+    with pytest.raises(ValueError, match=r"ROS 2 cannot begin: .*use_sim_time.* expecting type 'BOOL'"):
+        make_ros_node("tracking", ["--ros-args", "-p", "use_sim_time:=banana"])

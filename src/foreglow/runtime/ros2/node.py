@@ -9,6 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.exceptions import ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -86,7 +87,10 @@ def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
         except RuntimeError as error:  # such as of a folder for logs that cannot be made
             raise ValueError(f"ROS 2 cannot begin: {' '.join(str(error).split())}") from error
     no_service = Parameter("start_type_description_service", value=False)
-    return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
+    try:
+        return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
+    except ParameterException as error:  # such as of `use_sim_time` that is no truth value
+        raise ValueError(f"ROS 2 cannot begin: {' '.join(str(error).split())}") from error
 
 
 class FrameNode(ABC, Generic[Inputs]):
