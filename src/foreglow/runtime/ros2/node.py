@@ -129,7 +129,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self.num_frames = 0
         exact = tuple(dict.fromkeys(exact))
         patience_ns = Join.PATIENCE_NS if patience_s is None else round(patience_s * 1e9)
-        self._join = Join(exact, sampled, patience_ns=patience_ns)
+        self._join = Join(exact, sampled, fast=topics.FAST, patience_ns=patience_ns)
         self._sequence: str | None = None
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._reliable: list[str] = []
