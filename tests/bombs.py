@@ -297,7 +297,7 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     ),
     "a line of commas": ("poses", "a.csv", many(50_000_000, ","), "line 1: expected at most"),
     "fine steps beyond the sphere": (
-        "lamp", "a.ies", text(ies((-360.0, -359.95, 360.0), (-360.0, 0.0, 360.0))), "vertical ones within 90",
+        "lamp", "a.ies", text(ies((-360.0, -359.95, 360.0), (-360.0, 0.0, 360.0))), "vertical angles: expected",
     ),
     "a lamp of 30 GiB": ("lamp", "a.ldt", sparse(30 * GIB), "at most 16 MiB"),
     "a fine step of LEDs": (

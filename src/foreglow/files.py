@@ -240,7 +240,7 @@ def read_yaml(path: Path) -> Any:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not YAML, has an alias, or is beyond a bound; the message names the path.
+        ValueError: If it is not YAML, has an alias or a key twice, or is beyond a bound; the message names the path.
     """
     import yaml
 
@@ -256,9 +256,20 @@ def read_yaml(path: Path) -> Any:
                 raise ValueError(f"expected at most {MAX_DEPTH} lists and objects in one another, got more")
             if isinstance(event, yaml.ScalarEvent) and not event.style and len(event.value) > MAX_SCALAR_CHARS:
                 raise ValueError(f"expected words of at most {MAX_SCALAR_CHARS} characters, got {len(event.value)}")
+        _check_keys(yaml.compose(text, loader))
         return yaml.load(text, loader)  # a safe one
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: expected YAML: {error}") from None
+
+
+def _check_keys(node: Any) -> None:
+    """Raises ValueError if an object in a node of YAML has a key twice, of which the last would count."""
+    if node is not None and isinstance(node.value, list):
+        parts = [part for pair in node.value for part in (pair if isinstance(pair, tuple) else (pair,))]
+        keys = [pair[0].value for pair in node.value if isinstance(pair, tuple) and isinstance(pair[0].value, str)]
+        check_each_once(keys, "keys")
+        for part in parts:
+            _check_keys(part)
 
 
 def check_json(data: bytes | str, origin: str) -> None:

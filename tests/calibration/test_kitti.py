@@ -83,6 +83,7 @@ def test_a_mount_is_needed(tmp_path: Path) -> None:
         ("6.900e+02", "1e20", r"K_00: cx, cy: expected a principal point .* got \(1e\+20, "),
         ("D_00: -3.728e-01", "D_00: 1e7", r"D_00: expected coefficients of at most 1e\+06, got \[10000000\.0"),
         ("S_00: 1.392000e+03", "S_00: 1e300", "S_00: expected a width and a height of at most 1048576 px"),
+        ("D_00:", "K_00: 1\nD_00:", r"calib\.txt: entries: expected each once, K_00 comes twice"),
         ("K_00:", "K:", r"K_00: missing, the file's entries are: calib_time, corner_dist, S_00"),
     ],
 )

@@ -78,6 +78,12 @@ def test_fewer_terms(tmp_path: Path, terms: str) -> None:
     ("old", "new", "message"),
     [
         ("image_width: 1280\n", "", r"front\.yaml: image_width: missing"),
+        (
+            "image_width: 1280",
+            "image_width: 1280\nimage_width: 640",
+            r"front\.yaml: .*each once, image_width comes twice",
+        ),
+        ("  rows: 3\n", "  rows: 3\n  cols: 4\n", r"front\.yaml: expected YAML: keys: .* cols comes twice"),
         ("image_width: 1280", "image_width: 0", r"image_width: .*greater than or equal to 1, got 0"),
         ("image_width: 1280", "image_width: 1280.5", r"image_width: .*integer"),
         ("[1312.0", "[.nan", r"camera_matrix\.data\.0: .*finite number, got nan"),

@@ -89,6 +89,14 @@ def test_paths_are_left_out(tmp_path: Path) -> None:
         ("lon='9", "lon='8", "lanelet near .* m: (borders: expected a width above 0|length: expected at most)"),
         ("v='400.2'", "v='1e11'", "way .: height: expected up to 10000 m above or below zero, got 1e.11"),
         ("<tag k='ele' v='400.2'/>", "", "ele: expected a height at all nodes of borders, or at none"),
+        ("<node id='a1'", "<node id='a0'", "node: expected an id of its own for each, got a0 twice"),
+        ("<node id='a1'", "<node", "node: expected an id of its own for each, got one without"),
+        ("<way id='a'>", "<way id='b'>", "way: expected an id of its own for each, got b twice"),
+        (
+            "<node id='a1'",
+            "<node action='delete' id='a1'",
+            r"way a: expected it with all its nodes, \['a1'\] is missing",
+        ),
         ("'lanelet'", "'multipolygon'", "expected at least one lanelet for cars, got none"),
     ],
 )
@@ -97,6 +105,12 @@ def test_errors(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in text
     with pytest.raises(ValueError, match=rf"town\.osm: {message}"):
         read(tmp_path, text.replace(old, new) if "lanelet'" in old else text.replace(old, new, 1))
+
+
+def test_what_an_editor_has_deleted_is_no_road(tmp_path: Path) -> None:
+    deleted = lanelet(3, "a", "c").replace("<relation", "<relation action='delete'")
+    assert len(read(tmp_path, document(more=deleted)).lines) == 1
+    assert len(read(tmp_path, document(more=lanelet(3, "a", "c"))).lines) == 2
 
 
 def test_a_file_without_nodes(tmp_path: Path) -> None:

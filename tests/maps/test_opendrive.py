@@ -131,6 +131,33 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
         ),
         (road(geometry(0, "1e11", 0, 0, 40, "<line/>"), 40), r"road 7: x, y: expected up to 1e\+08 m"),
         (road(geometry(0, 0, 0, 0, 40, "<line/>"), "long"), "road 7: <road> length: .* got 'long'"),
+        (road(geometry(0, 0, 0, 0, 40, "<line/>"), -40), "road 7: length: expected at least 0 m, got -40"),
+        (
+            road(geometry(0, 0, 0, 0, 40, '<spiral curvStart="0" curvEnd="0.1"/>'), 400),
+            "road 7: planView: expected geometries one after .*, got one to s = 40 m and the next from 400 m",
+        ),
+        (
+            road(geometry(0, 0, 0, 0, 40, "<line/>") + geometry(90, 90, 0, 0, 10, "<line/>"), 100),
+            "road 7: planView: expected geometries one after .*, got one to s = 40 m and the next from 90 m",
+        ),
+        (
+            road(geometry(9, 0, 0, 0, 31, "<line/>"), 40),
+            "road 7: planView: .* got one to s = 0 m and the next from 9 m",
+        ),
+        (
+            road(geometry(0, 0, 0, 0, 20, "<line/>") + geometry(20, 90, 0, 0, 20, "<line/>"), 40),
+            "road 7: planView: expected a line without gaps, got one of 71 m at s = 19 m",
+        ),
+        (
+            road(geometry(0, 0, 0, 0, 40, '<arc curvature="1e300"/>'), 40),
+            r"road 7: <arc> curvature: expected up to 1 per m, got 1e\+300",
+        ),
+        (
+            road(
+                geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="3").replace("width", "border")
+            ),
+            "road 7: lane .*: expected <width>, got <border>, not read",
+        ),
     ],
 )
 def test_errors(tmp_path: Path, text: str, message: str) -> None:

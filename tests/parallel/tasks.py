@@ -75,3 +75,16 @@ def wait_for_stop(item: Path, parent: Parent) -> str:
 def read_here(item: str, parent: Parent) -> str:  # noqa: ARG001
     """The text of a file whose path is relative to the folder of the first process."""
     return Path(item).read_text()
+
+
+def freeze(path: Path, parent: Parent) -> None:
+    """Writes the number of its process, tells, and stops the process as a whole."""
+    path.write_text(str(os.getpid()))
+    parent.report_progress()
+    time.sleep(0.5)  # the report is sent by another thread
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+def is_frozen(number: str) -> bool:
+    """Whether a process is stopped; Linux."""
+    return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] in ("t", "T")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 
 from foreglow.parallel import MAX_DEATHS, Cluster
 from foreglow.parallel import cluster as cluster_module
+from foreglow.parallel import pool as pool_module
 from tests.parallel import tasks
 from tests.parallel.dask_cluster import DaskCluster
 from tests.parallel.test_local import folders, nobody, wait_for
@@ -62,6 +64,25 @@ def test_an_error_is_that_of_the_work(cluster: DaskCluster, tmp_path: Path) -> N
         list(Cluster(cluster.address).each(tasks.fail_at, items, nobody))
     assert (tmp_path / "good" / "finished").exists()
     assert not (tmp_path / "never" / "finished").exists()
+
+
+def test_a_frozen_worker_does_not_hold_up_the_end(
+    cluster: DaskCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It never answered the request to stop, and Ctrl-C ended nothing."""
+    for module in (cluster_module, pool_module):
+        monkeypatch.setattr(module, "GRACE_S", 0.5)
+    number = tmp_path / "process"
+
+    def interrupted(*_: object) -> None:
+        tasks.wait_until(lambda: tasks.is_frozen(number.read_text()))
+        raise KeyboardInterrupt
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            list(Cluster(cluster.address).each(tasks.freeze, {"a": number}, interrupted))
+    finally:
+        os.kill(int(number.read_text()), signal.SIGCONT)
 
 
 def test_asked_to_stop_work_returns_what_it_has(cluster: DaskCluster, tmp_path: Path) -> None:

@@ -186,6 +186,7 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("led_files = [['one.ies'], ['one.ies', 'one.ies']]", "", r"left.led_files: expected rows of one length"),
         ("led_files = [['one.ies']]\nturn_deg = 1.0", "", "left.turn_deg: expected only with"),
         ("led_files = [['dark.ies']]", "", "left.led_files: LED 0: expected light"),
+        ("base = 'dark.ies'\nled_files = [['one.ies']]", "", "left.base: expected light in some direction, got 0 cd"),
         ("led_files = [['one.ies']]", GRID, "left.led_files: expected either these or .grid., got both"),
         ("", "", "left.led_files: missing, and there is no .grid. either"),
         ("", GRID.replace("pitch_deg = 3", "pitch_deg = 0"), "grid.pitch_deg: .*greater than 0"),

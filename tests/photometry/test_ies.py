@@ -125,7 +125,18 @@ GOOD = "1 -1 1 2 2 3 2 0 0 0\n1 1 0\n-5 5\n-5 5\n8 8 8 8\n"
         (HEADER + GOOD.replace("2 2 3 2", "2.5 2 3 2"), "vertical angles: expected a whole number"),
         (HEADER + GOOD.replace("2 2 3 2", "1 2 3 2"), "vertical angles: expected at least 2, got 1"),
         (HEADER + GOOD.replace("-5 5\n-5 5", "5 -5\n-5 5"), "vertical angles: expected growing"),
-        (HEADER + GOOD.replace("2 2 3 2", "2 2 1 2"), "horizontal angles: expected a span"),
+        (HEADER + GOOD.replace("2 2 3 2", "2 2 1 2").replace("-5", "0"), "horizontal angles: expected a span"),
+        (HEADER + GOOD.replace("2 2 3 2", "2 2 1 2"), "vertical angles: expected growing angles within 0 to 180"),
+        (HEADER + GOOD.replace("-5 5\n8", "-200 200\n8"), "horizontal angles: expected growing angles within -180"),
+        (HEADER + GOOD.replace("2 2 3 2", "2 2 2 2").replace("5\n8", "91\n8"), "horizontal angles: .*within -90 to 90"),
+        (HEADER + GOOD.replace("-1 1 2", "-1 0 2"), "multiplier .*: expected positive numbers, got 0, 1, 1"),
+        (HEADER + GOOD.replace("1 1 0\n", "1 0 0\n"), "ballast factors: expected positive numbers, got 1, 1, 0"),
+        (HEADER + GOOD.replace("-1 1 2", "-1 -1 2").replace("8", "-8"), "expected positive numbers, got -1, 1, 1"),
+        (HEADER + GOOD.replace("-1 1 2", "-1 1e30 2"), "candela values: expected at most 1e.07 cd .* got 8e.30"),
+        (HEADER + GOOD.replace("-1 1 2", "-1 1e308 2"), "candela values: expected at most 1e.07 cd .* got inf"),
+        (HEADER + GOOD + "8 8\n", "line 10: expected the end of the file after 2 x 2 candela values.* got '8'"),
+        (HEADER + GOOD.replace("8 8 8 8", "8,5 8,5 8,5 8,5"), "line 9: expected the end of the file"),
+        (HEADER + GOOD.replace("8 8 8 8", "8 8 8 8_0"), "line 9: candela values: expected a number, got '8_0'"),
     ],
 )
 def test_bad_files(tmp_path: Path, text: str, complaint: str) -> None:
@@ -133,6 +144,10 @@ def test_bad_files(tmp_path: Path, text: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint) as caught:
         read_ies(path)
     assert str(path) in str(caught.value)
+
+
+def test_the_end_of_a_file_of_dos(tmp_path: Path) -> None:
+    assert towards(read_ies(written(tmp_path, GOOD + "\n\x1a\n")), 1, 0, 0) == pytest.approx(8)
 
 
 def test_no_file(tmp_path: Path) -> None:

@@ -111,6 +111,9 @@ def changed(line: int, text: str) -> list[str]:
         (changed(51, "nan"), "line 51: intensities: expected a number, got 'nan'"),
         (changed(51, ""), "line 51: intensities: expected a number, got ''"),
         (changed(51, "-1"), "intensities: expected at least 0, got -1"),
+        (changed(29, "1e30"), "intensities: expected at most 1e.07 cd with all factors, got 5e.27"),
+        (changed(3, "4"), "line 56: expected the end of the file after 2 x 3 intensities"),
+        ([*GOOD, "", "5"], "expected the end of the file after 3 x 3 intensities.* got '5'"),
     ],
 )
 def test_bad_files(tmp_path: Path, lines: list[str], complaint: str) -> None:

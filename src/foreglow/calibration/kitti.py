@@ -25,7 +25,7 @@ from foreglow.calibration.values import (
     Intrinsics,
     checked_distortion,
 )
-from foreglow.files import MIB, read_text
+from foreglow.files import MIB, check_each_once, read_text
 from foreglow.geometry import Floats
 
 MAX_CALIBRATION_BYTES = MIB
@@ -37,8 +37,8 @@ def read_kitti_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not text, an entry is missing or does not have the right count of finite numbers, a focal
-            length is not positive, or the size is missing or differs from that asked for.
+        ValueError: If it is not text, an entry is missing, twice there, or not of the right count of finite numbers, a
+            focal length is not positive, or the size is missing or differs from that asked for.
     """
     entries = _Entries(path)
     number = f"{choice.camera:02d}"
@@ -58,7 +58,9 @@ class _Entries:
     def __init__(self, path: Path) -> None:
         self._path = path
         lines = (line.partition(":") for line in read_text(path, MAX_CALIBRATION_BYTES).splitlines())
-        self._texts = {key.strip(): text for key, colon, text in lines if colon}
+        entries = [(key.strip(), text) for key, colon, text in lines if colon]
+        check_each_once((key for key, _ in entries), f"{path}: entries")
+        self._texts = dict(entries)
 
     def has(self, key: str) -> bool:
         return key in self._texts

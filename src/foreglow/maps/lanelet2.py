@@ -10,6 +10,7 @@ Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -30,12 +31,13 @@ def read_lanelet2(path: Path) -> RoadMap:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not OSM XML, a lanelet lacks a border, a border lacks a node, a number is broken, only some
-            nodes have heights, or there is no lanelet; the message names path and element.
+        ValueError: If it is not OSM XML, two elements of a kind have the same id, a lanelet lacks a border, a border
+            lacks a node, a number is broken, only some nodes have heights, or there is no lanelet; the message names
+            path and element.
     """
     root = read_xml(path, "osm")
     nodes, earth = _nodes(root, path)
-    ways = {str(way.get("id")): [str(nd.get("ref")) for nd in way.findall("nd")] for way in root.findall("way")}
+    ways = {number: [str(nd.get("ref")) for nd in way.findall("nd")] for number, way in _kept(root, "way", path)}
     lanelets = _lanelets(root, path)
     if not lanelets:
         raise ValueError(f"{path}: expected at least one lanelet for cars, got none")
@@ -52,15 +54,29 @@ def read_lanelet2(path: Path) -> RoadMap:
     return RoadMap(lines, earth, has_heights=not is_missing.any())
 
 
+def _kept(root: Element, kind: str, path: Path) -> Iterator[tuple[str, Element]]:
+    """The elements of a kind with their ids, without those that an editor such as JOSM has marked as deleted."""
+    seen = set[str]()
+    for element in root.findall(kind):
+        if element.get("action") == "delete":
+            continue
+        number = element.get("id")
+        if number is None or number in seen:
+            got = "one without" if number is None else f"{number} twice"
+            raise ValueError(f"{path}: {kind}: expected an id of its own for each, got {got}")
+        seen.add(number)
+        yield number, element
+
+
 def _nodes(root: Element, path: Path) -> tuple[dict[str, Floats], GeographicOrigin]:
     """The position of every node, shape (3,), with NaN for a missing height; and the first node as the origin."""
     ids, degrees, heights_m = [], [], []
-    for node in root.findall("node"):
-        origin = f"{path}: node {node.get('id')}"
+    for number, node in _kept(root, "node", path):
+        origin = f"{path}: node {number}"
         latitude_deg, longitude_deg = number_of(node, "lat", origin), number_of(node, "lon", origin)
         check_position(latitude_deg, longitude_deg, origin)
         ele = [tag for tag in node.findall("tag") if tag.get("k") == "ele"]
-        ids.append(str(node.get("id")))
+        ids.append(number)
         degrees.append((latitude_deg, longitude_deg))
         heights_m.append(number_of(ele[0], "v", origin) if ele else np.nan)
     if not ids:
@@ -73,7 +89,7 @@ def _nodes(root: Element, path: Path) -> tuple[dict[str, Floats], GeographicOrig
 def _lanelets(root: Element, path: Path) -> list[tuple[str, str]]:
     """Ids of the left and the right border of each lanelet for cars."""
     found = []
-    for relation in root.findall("relation"):
+    for number, relation in _kept(root, "relation", path):
         tags = {tag.get("k"): tag.get("v") for tag in relation.findall("tag")}
         if tags.get("type") != "lanelet" or tags.get("subtype", "road") not in DRIVEN_SUBTYPES:
             continue
@@ -81,7 +97,7 @@ def _lanelets(root: Element, path: Path) -> list[tuple[str, str]]:
         ways = {side: [member.get("ref") for member in members if member.get("role") == side] for side in SIDES}
         for side, refs in ways.items():
             if len(refs) != 1:
-                raise ValueError(f"{path}: lanelet {relation.get('id')}: expected one {side} border, got {len(refs)}")
+                raise ValueError(f"{path}: lanelet {number}: expected one {side} border, got {len(refs)}")
         found.append((str(ways["left"][0]), str(ways["right"][0])))
     return found
 

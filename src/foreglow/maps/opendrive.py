@@ -23,6 +23,16 @@ from foreglow.street import LANE_WIDTH_M
 MAX_ROLL_RAD = 1.0
 """The largest superelevation of a road; the steepest of a race track has .6 rad."""
 
+MAX_GAP_M = 1.0
+"""Where a geometry or a road ends by its length, the next one begins, or the road ends, to this. Without the rest of a
+road its last geometry would go on, in a spiral with ever sharper bends."""
+
+MAX_STEP_M = 5.0
+"""Neighbouring points of a reference line, `STEP_M` apart along it, are no further apart than this."""
+
+MAX_CURVATURE_PER_M = 1.0
+"""The sharpest bend of a road has a radius of some metres."""
+
 DRIVEN_LANES = frozenset({"driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp"})
 _COEFFICIENTS = ("a", "b", "c", "d")
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -33,8 +43,8 @@ def read_opendrive(path: Path) -> RoadMap:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, or there is
-            no road; the message names path and road.
+        ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, a road has
+            gaps, a driving lane has borders in place of widths, or there is no road; the message names path and road.
     """
     roads, count = read_xml(path, "OpenDRIVE").findall("road"), PointCount()
     lines = [line for road in roads if (line := _line(road, count, f"{path}: road {road.get('id')}")) is not None]
@@ -46,6 +56,8 @@ def read_opendrive(path: Path) -> RoadMap:
 def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     """The middle of a road's driving lanes; None if it has other lanes only."""
     length_m = number_of(road, "length", origin)
+    if length_m < 0:
+        raise ValueError(f"{origin}: length: expected at least 0 m, got {length_m:g}")
     if length_m < 1e-3:
         return None
     count.add(length_m, origin)
@@ -84,6 +96,13 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
     geometries = sorted(found_geometries, key=lambda pair: pair[0])
     if not geometries:
         raise ValueError(f"{origin}: planView: expected at least one <geometry>, got none")
+    ends_m = [0.0, *(s + number_of(geometry, "length", origin) for s, geometry in geometries)]
+    for end_m, begin_m in zip(ends_m, [*(s for s, _ in geometries), float(ways_m[-1])], strict=True):
+        if abs(end_m - begin_m) > MAX_GAP_M:
+            expected = "expected geometries one after the other, from 0 to the road's length"
+            raise ValueError(
+                f"{origin}: planView: {expected}, got one to s = {end_m:g} m and the next from {begin_m:g} m"
+            )
     numbers = np.clip(np.searchsorted([s for s, _ in geometries], ways_m, side="right") - 1, 0, None)
     found = np.empty((len(ways_m), 3))
     for number in np.unique(numbers).tolist():
@@ -94,6 +113,11 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
         turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
         turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
         found[here] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)
+    steps_m = np.hypot(*np.diff(found[:, :2], axis=0).T)
+    if not (steps_m <= MAX_STEP_M).all():
+        worst = int(steps_m.argmax())
+        gap = f"{steps_m[worst]:g} m at s = {ways_m[worst]:g} m"
+        raise ValueError(f"{origin}: planView: expected a line without gaps, got one of {gap}")
     return found
 
 
@@ -104,15 +128,22 @@ def _curve(geometry: Element, ways_m: Floats, origin: str) -> Floats:
         if shape.tag == "line":
             return _clothoid(0.0, 0.0, ways_m)
         if shape.tag == "arc":
-            return _clothoid(number_of(shape, "curvature", origin), 0.0, ways_m)
+            return _clothoid(_curvature_per_m(shape, "curvature", origin), 0.0, ways_m)
         if shape.tag == "spiral":
-            start, end = number_of(shape, "curvStart", origin), number_of(shape, "curvEnd", origin)
+            start, end = (_curvature_per_m(shape, name, origin) for name in ("curvStart", "curvEnd"))
             return _clothoid(start, (end - start) / max(length_m, 1e-9), ways_m)
         if shape.tag == "paramPoly3":
             is_arc_length = shape.get("pRange") == "arcLength"
             return _parametric(shape, ways_m if is_arc_length else ways_m / max(length_m, 1e-9), origin)
     kinds = ", ".join(shape.tag for shape in geometry) or "nothing"
     raise ValueError(f"{origin}: geometry: expected line, arc, spiral or paramPoly3, got {kinds}")
+
+
+def _curvature_per_m(shape: Element, name: str, origin: str) -> float:
+    value = number_of(shape, name, origin)
+    if abs(value) > MAX_CURVATURE_PER_M:
+        raise ValueError(f"{origin}: <{shape.tag}> {name}: expected up to {MAX_CURVATURE_PER_M:g} per m, got {value:g}")
+    return value
 
 
 def _clothoid(curvature_per_m: float, change_per_m2: float, ways_m: Floats) -> Floats:
@@ -158,6 +189,8 @@ def _widths_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Float
         for side, sums_m in sides.items():
             for lane in section.findall(f"{side}/lane"):
                 if lane.get("type", "driving") in DRIVEN_LANES:
+                    if lane.find("border") is not None:
+                        raise ValueError(f"{origin}: lane {lane.get('id')}: expected <width>, got <border>, not read")
                     sums_m[here] += _cubics(lane.findall("width"), ways_m[here] - begins_m[number], "sOffset", origin)
     if not (sides["left"] + sides["right"] > 0).any():
         return None

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import math
 import socket
+import threading
 import time
 import uuid
 from collections import deque
@@ -15,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foreglow.parallel.pool import Item, ProgressCallback, Result, Work, given_up, schedule
+from foreglow.parallel.pool import GRACE_S, Item, ProgressCallback, Result, Work, given_up, schedule
 from foreglow.plugins import traced
 
 if TYPE_CHECKING:
@@ -166,7 +167,14 @@ class _DaskWorkers:
         return [self._reports.popleft() for _ in range(len(self._reports))]
 
     def stop(self) -> None:
-        self._client.run(_stop, self._token, on_error="ignore")
+        """Asks the workers to stop, and leaves it at that after `GRACE_S`: one that is frozen never answers."""
+        asking = threading.Thread(target=self._ask_to_stop, name="ask dask's workers to stop", daemon=True)
+        asking.start()
+        asking.join(GRACE_S)
+
+    def _ask_to_stop(self) -> None:
+        with contextlib.suppress(Exception):  # it may go on while the client is closed
+            self._client.run(_stop, self._token, on_error="ignore")
 
     def close(self) -> None:
         self._client.close()  # the scheduler then forgets our tasks

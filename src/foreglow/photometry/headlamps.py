@@ -292,6 +292,8 @@ def _read(path: Path) -> Headlamps:
 
 def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) -> MatrixLamp:
     base = low_beam() if lamp.base is None else _table(path, f"{side}.base", lamp.base)
+    if not base.intensities_cd.any():
+        raise ValueError(f"{path}: {side}.base: expected light in some direction, got 0 cd in all")
     if lamp.led_files is None:
         if grid is None:
             raise ValueError(f"{path}: {side}.led_files: missing, and there is no [grid] either")

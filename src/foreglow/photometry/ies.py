@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.number_fields import NumberFields, read_lamp_text
+from foreglow.photometry.number_fields import NumberFields, read_lamp_text, scaled_candela
 from foreglow.photometry.resampling import Type, resampled
 
 TYPES: dict[float, Type] = {1.0: "C", 2.0: "B", 3.0: "A"}
@@ -16,6 +17,13 @@ TYPES: dict[float, Type] = {1.0: "C", 2.0: "B", 3.0: "A"}
 
 C_SPANS_DEG = ((0.0, 0.0), (0.0, 90.0), (0.0, 180.0), (0.0, 360.0), (90.0, 270.0))
 """First and last horizontal angle of a type C file; in all but 0 to 360, the rest follows from symmetry."""
+
+REACHES_DEG: dict[Type, tuple[tuple[float, float], tuple[float, float]]] = {
+    "A": ((-90.0, 90.0), (-180.0, 180.0)),
+    "B": ((-180.0, 180.0), (-90.0, 90.0)),
+    "C": ((0.0, 180.0), (0.0, 360.0)),
+}
+"""Least and largest vertical and horizontal angle of each type: light at others would be at no direction."""
 
 
 def read_ies(path: Path) -> IntensityTable:
@@ -33,8 +41,10 @@ def read_ies(path: Path) -> IntensityTable:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not LM-63, ends early, has a word that is not a number, a tilt other than NONE, too few
-            angles, or angles that do not grow; the message names path, line or field, and what was expected.
+        ValueError: If it is not LM-63, ends early or goes on, has a word that is not a number, a tilt other than NONE,
+            too few angles, angles that do not grow or are beyond those of its type, a factor that is not positive, or
+            an intensity that is negative or that of no lamp; the message names path, line or field, and what was
+            expected.
 
     Source: ANSI/IES LM-63-2019 and its older editions, after public descriptions of the format.
     """
@@ -49,15 +59,18 @@ def read_ies(path: Path) -> IntensityTable:
     kind = TYPES[type_number]
     fields.take(4, "units and size")
     ballast, second_ballast = fields.take(3, "ballast factors and watts")[:2]
-    verticals = _angles(path, fields, num_verticals, "vertical angles", at_least=2)
-    horizontals = _angles(path, fields, num_horizontals, "horizontal angles", at_least=1 if kind == "C" else 2)
-    if kind == "A" and max(np.abs(verticals).max() - 90, np.abs(horizontals).max() - 180) > 0:
-        raise ValueError(f"{path}: angles: expected vertical ones within 90 degrees and horizontal ones within 180")
-    candela = fields.take(num_verticals * num_horizontals, "candela values")
     # In the edition of 2019, the second factor has become a code for the origin of the file.
-    candela = candela * multiplier * ballast * (1.0 if "LM-63-2019" in lines[0] else second_ballast)
-    if not (candela >= 0).all():
-        raise ValueError(f"{path}: candela values: expected at least 0, got {candela.min():g}")
+    factors = [float(multiplier), float(ballast), 1.0 if "LM-63-2019" in lines[0] else float(second_ballast)]
+    if not min(factors) > 0:
+        got = ", ".join(f"{factor:g}" for factor in factors)
+        raise ValueError(f"{path}: multiplier and ballast factors: expected positive numbers, got {got}")
+    verticals_reach, horizontals_reach = REACHES_DEG[kind]
+    verticals = _angles(path, fields, num_verticals, "vertical angles", verticals_reach, at_least=2)
+    at_least = 1 if kind == "C" else 2
+    horizontals = _angles(path, fields, num_horizontals, "horizontal angles", horizontals_reach, at_least=at_least)
+    candela = fields.take(num_verticals * num_horizontals, "candela values")
+    fields.end(f"{num_verticals} x {num_horizontals} candela values")
+    candela = scaled_candela(candela, math.prod(factors), f"{path}: candela values")
     span = (float(horizontals[0]), float(horizontals[-1]))
     if kind == "C" and span not in C_SPANS_DEG:
         raise ValueError(f"{path}: horizontal angles: expected a span of {C_SPANS_DEG}, got {span}")
@@ -79,10 +92,12 @@ def _words(path: Path, lines: list[str]) -> list[tuple[int, str]]:
     ]
 
 
-def _angles(path: Path, fields: NumberFields, num: int, field: str, at_least: int) -> Floats:
+def _angles(
+    path: Path, fields: NumberFields, num: int, field: str, reach_deg: tuple[float, float], at_least: int
+) -> Floats:
     if num < at_least:
         raise ValueError(f"{path}: {field}: expected at least {at_least}, got {num}")
-    angles = fields.take(num, field)
-    if not ((np.diff(angles) > 0).all() and (np.abs(angles) <= 360).all()):
-        raise ValueError(f"{path}: {field}: expected growing angles within 360 degrees")
+    angles, (first, last) = fields.take(num, field), reach_deg
+    if not ((np.diff(angles) > 0).all() and first <= angles[0] and angles[-1] <= last):
+        raise ValueError(f"{path}: {field}: expected growing angles within {first:g} to {last:g} degrees")
     return angles

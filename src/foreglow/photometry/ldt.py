@@ -13,7 +13,7 @@ import numpy as np
 
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.number_fields import NumberFields, read_lamp_text
+from foreglow.photometry.number_fields import NumberFields, read_lamp_text, scaled_candela
 from foreglow.photometry.resampling import resampled
 
 SYMMETRY_LINE, GAMMAS_LINE, FACTOR_LINE, SETS_LINE, FLUX_LINE = 3, 6, 24, 26, 29
@@ -42,9 +42,9 @@ def read_ldt(path: Path) -> IntensityTable:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it ends early, has a word that is not a number, an unknown symmetry, counts that do not fit it,
-            too few angles or angles that do not grow, or a negative intensity; the message names path, line or field,
-            and what was expected.
+        ValueError: If it ends early or goes on, has a word that is not a number, an unknown symmetry, counts that do
+            not fit it, too few angles or angles that do not grow, or an intensity that is negative or that of no lamp;
+            the message names path, line or field, and what was expected.
 
     Source: Stockmar, EULUMDAT, 1990 and 1998, after public descriptions of the format.
     """
@@ -79,9 +79,9 @@ def read_ldt(path: Path) -> IntensityTable:
     if not ((np.diff(gammas) > 0).all() and gammas[0] >= 0 and gammas[-1] <= 180):
         raise ValueError(f"{path}: angles gamma: expected growing angles within 0 to 180 degrees")
     values = fields.take(len(planes) * num_gammas, "intensities")
-    if not (values >= 0).all():
-        raise ValueError(f"{path}: intensities: expected at least 0, got {values.min():g}")
-    candela = values.reshape(len(planes), num_gammas).T * (factor * flux_lm / 1000.0)
+    fields.end(f"{len(planes)} x {num_gammas} intensities")
+    values = scaled_candela(values, factor * flux_lm / 1000.0, f"{path}: intensities")
+    candela = values.reshape(len(planes), num_gammas).T
     if symmetry == 0:  # the first plane closes the circle
         planes, candela = np.append(planes, 360.0), np.hstack([candela, candela[:, :1]])
     elif symmetry == 3:  # the same on the other side of the plane of symmetry: 90 to 270

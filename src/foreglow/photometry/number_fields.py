@@ -7,12 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.files import MIB, read_text
+from foreglow.files import MIB, read_text, shortened
 from foreglow.geometry import Floats
 
 MAX_LAMP_BYTES = 16 * MIB
 """Largest photometric file: 3 million values, 45 by 20 degrees to either side in steps of .05 degrees have 1.4 million.
 """
+
+
+MAX_CANDELA = 1e7
+"""Brightest lamp: a headlamp's high beam has a twentieth of it, and the floodlights of a stadium a fifth. More is of a
+wrong factor."""
+
+_END_OF_FILE = "\x1a"
+"""Some programs end a file with it, as DOS did."""
 
 
 def read_lamp_text(path: Path) -> str:
@@ -22,7 +30,21 @@ def read_lamp_text(path: Path) -> str:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no regular file, or larger than `MAX_LAMP_BYTES`.
     """
-    return read_text(path, MAX_LAMP_BYTES, "latin-1")
+    return read_text(path, MAX_LAMP_BYTES, "latin-1").rstrip().removesuffix(_END_OF_FILE)
+
+
+def scaled_candela(values: Floats, factor: float, origin: str) -> Floats:
+    """The intensities of a lamp, `values` times `factor`.
+
+    Raises:
+        ValueError: If one is negative, or above `MAX_CANDELA`; the message begins with `origin`.
+    """
+    if not (values >= 0).all():
+        raise ValueError(f"{origin}: expected at least 0, got {values.min():g}")
+    brightest_cd = float(values.max()) * factor
+    if not brightest_cd <= MAX_CANDELA:
+        raise ValueError(f"{origin}: expected at most {MAX_CANDELA:g} cd with all factors, got {brightest_cd:g}")
+    return values * factor
 
 
 class NumberFields:
@@ -52,7 +74,7 @@ class NumberFields:
         values = np.empty(num)
         for index, (line, word) in enumerate(words):
             try:
-                values[index] = float(word.replace(",", "."))
+                values[index] = float(word.replace(",", ".").replace("_", "?"))  # Python alone takes 1_000
             except ValueError:
                 values[index] = np.nan
             if not np.isfinite(values[index]):
@@ -72,3 +94,16 @@ class NumberFields:
                 f"{self._path}: line {line}: {field}: expected a whole number of at least {at_least}, got {value:g}"
             )
         return int(value)
+
+    def end(self, after: str) -> None:
+        """Passes if nothing follows but blanks: what is left would be dark, or `after`, the last field, is of another.
+
+        Raises:
+            ValueError: If more follows.
+        """
+        for line, word in self._words[self._next :]:
+            if word:
+                raise ValueError(
+                    f"{self._path}: line {line}: expected the end of the file after {after}, as counts and symmetry at "
+                    f"its beginning say, got {shortened(word)}"
+                )

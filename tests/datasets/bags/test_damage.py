@@ -109,6 +109,20 @@ def test_random_messages(data: bytes) -> None:
                 decode(memoryview(content)).image()
 
 
+@pytest.mark.parametrize(
+    ("kind", "data"),
+    [
+        (("sensor_msgs/msg/Image", "cdr"), b"\0\1\0\0" + struct.pack("<iI", 7, 4_000_000_000) + bytes(40)),
+        (("sensor_msgs/Image", "ros1"), struct.pack("<III", 1, 7, 4_000_000_000) + bytes(40)),
+        (("foxglove.RawImage", "protobuf"), b"\x0a\x0b\x08" + b"\xff" * 9 + b"\x01"),  # -1 s
+    ],
+)
+def test_a_time_that_cannot_be(kind: tuple[str, str], data: bytes) -> None:
+    """The frame was taken to be of another time, seconds or centuries away."""
+    with pytest.raises(ValueError, match=r"stamp: expected seconds below 2\^32 and less than 1e9 ns, got "):
+        DECODERS[kind](memoryview(data))
+
+
 def test_a_killed_writers_file_is_read_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
     data = _mcap(tmp_path).read_bytes()
     third = data.index(struct.pack("<BQ", 6, 0)[:1], len(data) // 2)

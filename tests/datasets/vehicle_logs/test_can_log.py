@@ -211,7 +211,15 @@ def test_a_damaged_blf(
 
 
 @pytest.mark.parametrize(
-    "line", ["(1.0) can0", "no frame", "(nan) can0 3A1#00", "(x) can0 3A1#00", "(1.0) can0 3A1#0g"]
+    "line",
+    [
+        "(1.0) can0",
+        "no frame",
+        "(nan) can0 3A1#00",
+        "(x) can0 3A1#00",
+        "(1.0) can0 3A1#0g",
+        f"({'9' * 305}) vcan0 3A1#00",
+    ],
 )
 def test_a_broken_line_is_named(line: str, tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
@@ -230,6 +238,7 @@ def test_a_broken_line_is_named(line: str, tmp_path: Path) -> None:
     ("suffix", "was", "becomes", "expected"),
     [
         (".asc", "timestamps absolute", "timestamps  Relative", r"line 2: expected timestamps absolute, got relative"),
+        (".asc", "base hex *timestamps absolute", " base hex timestamps relative", "line 2: expected timestamps abs"),
         (".log", r"\(([\d.]+)\)", r"\1", r"line 1: expected a frame as a CAN log of the kind \.log"),
         (".log", "3A", "FFFFFFF3A", r"line 1: expected a frame as a CAN log of the kind \.log"),
     ],
@@ -322,7 +331,7 @@ def test_a_position_that_the_car_does_not_know(tmp_path: Path) -> None:
     absent = f"{0x9 | 40 << 6 | 1 << 14 | 1 << 17:08x}"  # segment 9
     for code in (unknown, absent):
         data = bytes.fromhex(code)[::-1].hex()
-        path.write_text(f"{known}(0.1) can0 3A1#{data}\n")
+        path.write_text(f"{known}(0.1) vcan0 3A1#{data}\n")
         log = read_can_log(path)
         assert log.street(50 * MS) == message()
         assert log.street(150 * MS) is None

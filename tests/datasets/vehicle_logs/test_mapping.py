@@ -207,6 +207,8 @@ def test_meanings_of_curvature() -> None:
         ("max_radius_m = 5000.0", "max_radius_m = 15.0", r"max_radius_m: expected more than min_radius_m, 15"),
         ("left_when = 0", "left_when = 2", r"curvature\.left_when: .*0 or 1"),
         ("factor = 0.2777777777777778", "factor = nan", r"speed\.factor: .*finite"),
+        ("factor = 0.2777777777777778", "factor = 0.0", r"speed\.factor: expected a number other than 0"),
+        ("[segment]", "bus = 1\n[segment]", r"car\.toml: bus: "),
         ("[position]", "[place]", r"car\.toml: place: unknown, expected one of segment"),
         (MAPPING[MAPPING.index("[yaw_rate]") :], "", "speed, yaw_rate: expected both sections or neither"),
         (
@@ -242,3 +244,59 @@ def test_broken_descriptions(tmp_path: Path) -> None:
         read_can_log(tmp_path / "car.log", tmp_path / "nowhere.dbc", tmp_path / "car.toml")
     with pytest.raises(ValueError, match=r"car\.dbc: expected a DBC and a mapping together"):
         read_can_log(tmp_path / "car.log", tmp_path / "car.dbc")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("516 Objects", "516 Dynamics", "messages: expected each name once, Dynamics comes twice"),
+        ("SG_ TurnRight", "SG_ Pace", "Dynamics: signals: expected each name once, Pace comes twice"),
+        ("BO_ 515", "BO_ 514", "expected an identifier of its own for each message of the mapping, Here and Dynamics"),
+        ("(0.01,0) [0|655]", "(0,0) [0|655]", "Dynamics: Pace: expected a finite scale other than 0"),
+        ("(0.01,0) [0|655]", "(1e400,0) [0|655]", "Dynamics: Pace: expected a finite scale other than 0"),
+        ("Pace : 0|16@1+", "Pace : 56|16@1+", "Dynamics: Pace: expected an end within 8 bytes, got bit 72"),
+        ("Pace : 0|16@1+", "Pace : 56|16@0+", "Dynamics: Pace: expected an end within 8 bytes, got bit 79"),
+    ],
+)
+def test_descriptions_of_which_nobody_knows_what_is_meant(tmp_path: Path, old: str, new: str, message: str) -> None:
+    """Speeds were those of another message, or of another signal, or 0, or never there."""
+    assert old in DBC
+    (tmp_path / "car.dbc").write_text(DBC.replace(old, new))
+    (tmp_path / "car.toml").write_text(MAPPING)
+    with pytest.raises(ValueError, match=rf"car\.dbc: {message}"):
+        CanDecoder(tmp_path / "car.dbc", tmp_path / "car.toml")
+
+
+def test_a_multiplexed_frame_that_the_description_does_not_have(tmp_path: Path) -> None:
+    """Public descriptions have some of a car's numbers; the log was refused for the others."""
+    log_of(tmp_path, [here(7)])
+    with (tmp_path / "car.log").open("a") as file:
+        file.write("(0.5) can0 201#0500000000000000\n")
+    assert not read_can_log(tmp_path / "car.log", tmp_path / "car.dbc", tmp_path / "car.toml").is_empty
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
+def test_a_log_of_two_buses(tmp_path: Path, suffix: str) -> None:
+    """The speed of one and something else of the other were taken in turn."""
+    path = tmp_path / f"car{suffix}"
+    with can.Logger(path) as log:
+        for tenths in range(10):
+            for bus, pace in enumerate((3600, 0)):
+                data = bytes([pace % 256, pace // 256, 0, 0, 0, 0, 0, 0])
+                channel = f"can{bus}" if suffix == ".log" else bus
+                sent = {"timestamp": 1 + tenths / 10, "arbitration_id": 515, "is_extended_id": False, "data": data}
+                log(can.Message(**sent, channel=channel))
+    names = ("can0", "can1") if suffix == ".log" else ("1", "2")
+    (tmp_path / "car.dbc").write_text(DBC)
+    (tmp_path / "car.toml").write_text(MAPPING)
+    with pytest.raises(ValueError, match=f"frames 203 of one bus, got those of {names[0]} and {names[1]}: name one as"):
+        read_can_log(path, tmp_path / "car.dbc", tmp_path / "car.toml")
+    for name, speed_mps in zip(names, (10.0, 0.0), strict=True):
+        (tmp_path / "car.toml").write_text(f'bus = "{name}"\n{MAPPING}')
+        read = read_can_log(path, tmp_path / "car.dbc", tmp_path / "car.toml")
+        motion = read.motion(read.last_ns)
+        assert motion is not None
+        assert motion.speed_mps == pytest.approx(speed_mps)
+    (tmp_path / "car.toml").write_text(f'bus = "can7"\n{MAPPING}')
+    with pytest.raises(ValueError, match=r"expected frames of .* on bus can7, got none"):
+        read_can_log(path, tmp_path / "car.dbc", tmp_path / "car.toml")

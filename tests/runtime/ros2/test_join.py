@@ -110,6 +110,17 @@ def test_a_patient_join_waits_for_a_sample_that_is_late() -> None:
     assert joined.messages["twist"] == "new"
 
 
+def test_a_late_frame_finds_its_sample_among_many() -> None:
+    """A thousand messages a second had pushed out those of a frame that came 100 ms late: the speed was unknown."""
+    join = Join(("image",), ("twist",), fast=("twist",))
+    for number in range(2000):
+        join.put("twist", Header(number * MS), number, number * MS)
+    join.put("image", Header(1900 * MS), "image", 2000 * MS)
+    joined = join.take(2000 * MS)
+    assert joined is not None
+    assert joined.messages == {"image": "image", "twist": 1900}
+
+
 def test_nothing_is_waited_for_too_long_or_held_too_long() -> None:
     join = Join(("image",), ("twist",))
     join.put("twist", header(0), "old", 0)

@@ -22,11 +22,12 @@ pytest.importorskip("rclpy")
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import qos_profile_sensor_data
 
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, Receiver, make_ros_node
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, UNHEARD, Receiver, make_ros_node
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
@@ -164,6 +165,17 @@ def test_a_header_that_cannot_be_read_is_low_beam_at_once(bench: Bench, frame: F
 
 
 @needs_processes
+def test_a_publisher_that_nobody_hears_is_low_beam(bench: Bench, frame: Frame) -> None:
+    """A decoder that says with best effort that images are damaged was never heard, and the light stayed on."""
+    bench.until("", frame)
+    publisher = bench.ros.create_publisher(topics.TYPES[topics.DAMAGE], topics.DAMAGE, qos_profile_sensor_data)
+    bench.until(UNHEARD, frame)
+    assert bench.commands[-1].mode == BeamMode.LOW
+    publisher.destroy()
+    bench.until("", frame)
+    bench.wait(lambda: any(state.message == UNHEARD for state in bench.states))
+
+
 def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:
     bench.until("", frame)
     own = {link.readlink().name for link in Path("/proc/self/fd").iterdir() if link.is_symlink()}
@@ -233,3 +245,9 @@ def test_a_bus_that_failed_is_told_to_the_guard() -> None:
         made.node.close()
         made.ros.destroy_node()
         rclpy.shutdown()
+
+
+def test_a_parameter_of_ros_that_is_of_another_kind() -> None:
+    """It was an internal error."""
+    with pytest.raises(ValueError, match=r"ROS 2 cannot begin: .*use_sim_time.* expecting type 'BOOL'"):
+        make_ros_node("tracking", ["--ros-args", "-p", "use_sim_time:=banana"])

@@ -25,6 +25,9 @@ from foreglow.types import Frame, Image
 
 NS = 1_000_000_000
 
+MAX_SECONDS = 1 << 32
+"""ROS 1 has seconds of 32 bits without a sign, ROS 2 of as many with one; the year is 2106."""
+
 
 @dataclass(frozen=True, slots=True)
 class ImageMessage:
@@ -105,15 +108,22 @@ DECODERS: Mapping[tuple[str, str], Callable[[memoryview], ImageMessage]] = Mappi
 
 def _ros_stamp_ns(cursor: Cursor, seconds: Literal["i", "I"]) -> int:
     """The time in a header, whose frame id is skipped; ROS 2 has signed seconds."""
-    stamp_ns = cursor.number(seconds, "header.stamp.sec") * NS + cursor.number("I", "header.stamp.nanosec")
+    stamp = cursor.number(seconds, "header.stamp.sec"), cursor.number("I", "header.stamp.nanosec")
     cursor.text("header.frame_id")
-    return stamp_ns
+    return _stamp_ns(*stamp, "header.stamp")
 
 
 def _foxglove_stamp_ns(fields: Mapping[int, int | memoryview]) -> int:
     """The google.protobuf.Timestamp in field 1."""
     stamp = latest_fields(_bytes(fields, 1, "timestamp"))
-    return _number(stamp, 1, "timestamp.seconds") * NS + _number(stamp, 2, "timestamp.nanos")
+    return _stamp_ns(_number(stamp, 1, "timestamp.seconds"), _number(stamp, 2, "timestamp.nanos"), "timestamp")
+
+
+def _stamp_ns(seconds: int, nanoseconds: int, field: str) -> int:
+    """A time stamp in nanoseconds; a part that cannot be is of a damaged message, whose frame would be elsewhere."""
+    if not (seconds < MAX_SECONDS and nanoseconds < NS):
+        raise ValueError(f"{field}: expected seconds below 2^32 and less than 1e9 ns, got {seconds} and {nanoseconds}")
+    return seconds * NS + nanoseconds
 
 
 def _number(fields: Mapping[int, int | memoryview], number: int, field: str) -> int:

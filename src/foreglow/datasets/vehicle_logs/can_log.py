@@ -6,6 +6,7 @@ import math
 import re
 import threading
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
@@ -19,7 +20,7 @@ from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 
 if TYPE_CHECKING:
-    from cantools.database.can import Database, Message
+    from cantools.database.can import Database, Message, Signal
 
 STREET_STALE_S = 1.0
 """Older street messages are not used."""
@@ -154,10 +155,11 @@ def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None
     """
     path = Path(path)
     decoder = CanDecoder(dbc, mapping)
-    for time_ns, key, data in sorted(read_frames(path, decoder.keys), key=lambda frame: frame[0]):
+    for time_ns, key, data in sorted(read_frames(path, decoder.keys, decoder.bus), key=lambda frame: frame[0]):
         decoder.take(time_ns, key, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
     if decoder.log.is_empty:
-        raise ValueError(f"{path}: expected frames of {', '.join(decoder.message_names)}, got none")
+        of_bus = f" on bus {decoder.bus}" if decoder.bus is not None else ""
+        raise ValueError(f"{path}: expected frames of {', '.join(decoder.message_names)}{of_bus}, got none")
     return decoder.log
 
 
@@ -177,7 +179,7 @@ def read_dbc(path: Path) -> dict[str, Message]:
     Raises:
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If cantools is not installed.
-        ValueError: If it is no DBC.
+        ValueError: If it is no DBC, or names two messages, or two signals of a message, alike.
     """
     import cantools
 
@@ -188,7 +190,20 @@ def read_dbc(path: Path) -> dict[str, Message]:
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except (cantools.Error, ValueError, KeyError) as error:
         raise ValueError(f"{path}: expected a DBC file: {error}") from None
-    return {message.name: message for message in cast("Database", database).messages}
+    messages = cast("Database", database).messages
+    _check_names([message.name for message in messages], f"{path}: messages")
+    found: dict[str, Message] = {}
+    for message in messages:
+        _check_names([signal.name for signal in message.signals], f"{path}: {message.name}: signals")
+        found[message.name] = message
+    return found
+
+
+def _check_names(names: list[str], origin: str) -> None:
+    """ValueError if two are the same: nobody can tell which of the two is meant."""
+    twice = [name for name, num in Counter(names).items() if num > 1]
+    if twice:
+        raise ValueError(f"{origin}: expected each name once, {twice[0]} comes twice")
 
 
 def _check_dbc(text: str, origin: str) -> None:
@@ -228,7 +243,8 @@ class CanDecoder:
         Raises:
             FileNotFoundError: If there is no such file.
             ModuleNotFoundError: If cantools is not installed (extra `can`).
-            ValueError: If a file is broken, or the mapping names something that the DBC does not have.
+            ValueError: If a file is broken, or the mapping names something that the DBC does not have, or that nobody
+                could decode.
         """
         if (dbc is None) != (mapping is None):
             raise ValueError(f"{dbc or mapping}: expected a DBC and a mapping together, got one of them")
@@ -245,15 +261,28 @@ class CanDecoder:
                     f"{mapping}: {name}.message: expected a message of {dbc}, such as {known}, got {section.message!r}"
                 )
             message = messages[section.message]
-            signals = {signal.name for signal in message.signals}
+            signals = {signal.name: signal for signal in message.signals}
             for field, name_in_dbc in section.signals().items():
                 if name_in_dbc not in signals:
                     raise ValueError(
                         f"{mapping}: {name}.{field}: expected a signal of {section.message}, one of "
                         f"{', '.join(sorted(signals))}, got {name_in_dbc!r}"
                     )
+                _check_signal(signals[name_in_dbc], f"{dbc}: {message.name}: {name_in_dbc}")
+            _check_lengths(message, str(dbc))
             key = message.frame_id, message.is_extended_frame
-            self._sections.setdefault(key, (message, []))[1].append((name, section.signals()))
+            first, own = self._sections.setdefault(key, (message, []))
+            if first.name != message.name:
+                raise ValueError(
+                    f"{dbc}: expected an identifier of its own for each message of the mapping, {first.name} and "
+                    f"{message.name} have {message.frame_id:X}"
+                )
+            own.append((name, section.signals()))
+
+    @property
+    def bus(self) -> str | None:
+        """The bus that the mapping names, in a log of several; None if it names none."""
+        return self._mapping.bus
 
     @property
     def keys(self) -> Collection[CanKey]:
@@ -291,6 +320,25 @@ class CanDecoder:
             self.log.add_number(section, time_ns, _number(values, getattr(self._mapping, section)))
 
 
+def _check_signal(signal: Signal, origin: str) -> None:
+    """ValueError if a signal's scale makes every value the same, or none."""
+    if not (math.isfinite(signal.scale) and math.isfinite(signal.offset) and signal.scale):
+        expected = "expected a finite scale other than 0, and a finite offset"
+        raise ValueError(f"{origin}: {expected}, got ({signal.scale:g},{signal.offset:g})")
+
+
+def _check_lengths(message: Message, origin: str) -> None:
+    """ValueError if a signal does not fit into its message, which then could not be decoded."""
+    from cantools.database.utils import start_bit
+
+    for signal in message.signals:
+        end = start_bit(signal) + signal.length
+        if end > 8 * message.length:
+            raise ValueError(
+                f"{origin}: {message.name}: {signal.name}: expected an end within {message.length} bytes, got bit {end}"
+            )
+
+
 def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
     """The finite signals of a frame; a multiplexed frame has only some of them."""
     import cantools
@@ -298,6 +346,8 @@ def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
     try:
         decoded = message.decode(data, decode_choices=False)
     except cantools.Error as error:
+        if message.is_multiplexed() and len(data) >= message.length:
+            return {}  # of a number that the DBC does not have: nothing else of such a frame can be wrong
         raise ValueError(f"{where}: {message.name}: {error}") from None
     values: dict[Any, Any] = dict(decoded)
     return {name: float(value) for name, value in values.items() if math.isfinite(value)}

@@ -30,11 +30,16 @@ MAX_STEP_BACK_NS = 1_000_000_000
 """Frames of several buses may be stored a little out of order; if times fall by more, a clock was set, or logs were
 put together, and the frames of two drives would be mixed."""
 
+MAX_TIME_S = 1 << 33
+"""Latest time of a frame, two centuries after 1970: a later one is no time, and too many nanoseconds."""
+
 MAX_OBJECT_BYTES = 1 << 24
 """Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
 
 _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
-_RELATIVE = re.compile(r"base\s+\w+\s+timestamps\s+relative", re.IGNORECASE)  # each time counts from the event before
+_RELATIVE = re.compile(
+    r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE
+)  # each time counts from the event before
 _CANDUMP_LINE = re.compile(r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-Fa-f]{1,8}#")  # time, bus, identifier
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
@@ -49,13 +54,19 @@ CanKey: TypeAlias = tuple[int, bool]
 """A frame's identifier, and whether that is extended."""
 
 
-def read_frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey, bytes]]:
+def read_frames(path: Path, keys: Collection[CanKey], bus: str | None = None) -> list[tuple[int, CanKey, bytes]]:
     """Time in ns, key and data of each frame in the log `path` that has one of these keys, in the file's order.
+
+    Args:
+        path: The log.
+        keys: Keys of the frames.
+        bus: Frames of other buses are left out: `can0` in candump's logs, `1` in Vector's. None: a key comes from one.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If python-can is not installed (extra `can`).
-        ValueError: If the log is broken, or beyond a bound, or its times jump back.
+        ValueError: If the log is broken, or beyond a bound, or its times jump back, or a key comes from several buses,
+            on each of which it may mean something else.
     """
     import can
 
@@ -67,6 +78,7 @@ def read_frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey,
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
     check_file(path, MAX_LOG_BYTES)
     found: list[tuple[int, CanKey, bytes]] = []
+    bus_of: dict[CanKey, str] = {}
     latest_ns = -math.inf
     if reader is can.BLFReader:
         _check_objects(path)
@@ -75,9 +87,13 @@ def read_frames(path: Path, keys: Collection[CanKey]) -> list[tuple[int, CanKey,
     with opened as file:
         for frame in _read_frames(reader, file, path):
             key = frame.arbitration_id, bool(frame.is_extended_id)
-            if key in keys and not (frame.is_error_frame or frame.is_remote_frame):
-                if not math.isfinite(frame.timestamp):
-                    raise ValueError(f"{_where(file, path)}: expected the time of a frame, got {frame.timestamp}")
+            own_bus = _bus_of(frame, path)
+            if key in keys and bus in (None, own_bus) and not (frame.is_error_frame or frame.is_remote_frame):
+                if bus_of.setdefault(key, own_bus) != own_bus:
+                    expected = f"expected frames {key[0]:X} of one bus, got those of {bus_of[key]} and {own_bus}"
+                    raise ValueError(f"{_where(file, path)}: {expected}: name one as `bus` in the mapping")
+                if not abs(frame.timestamp) <= MAX_TIME_S:
+                    raise ValueError(f"{_where(file, path)}: expected the time of a frame, got {frame.timestamp:g} s")
                 time_ns = round(frame.timestamp * 1e9)
                 if time_ns < latest_ns - MAX_STEP_BACK_NS:
                     expected = f"expected times that do not fall by more than {MAX_STEP_BACK_NS / 1e9:g} s"
@@ -110,6 +126,12 @@ def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
         if isinstance(file, _TextLog):
             raise
         raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}, it is damaged") from None
+
+
+def _bus_of(frame: can.Message, path: Path) -> str:
+    """The frame's bus, as the log writes it; python-can counts Vector's channels from 0 on."""
+    is_counted = isinstance(frame.channel, int) and path.suffix.lower() != CANDUMP
+    return str(int(frame.channel) + 1 if is_counted else frame.channel)  # type: ignore[arg-type]  # as checked
 
 
 def _where(file: Any, path: Path) -> str:

@@ -129,13 +129,19 @@ class NumberSignal(Section):
 
     Attributes:
         signal: Name of its signal.
-        factor: From the signal's unit to ours: 0.277778 for km/h, 0.0174533 for degrees.
+        factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees.
         is_negative: 1 where the number is negative; None if it has a sign.
     """
 
     signal: str
     factor: float = 1.0
     is_negative: str | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> NumberSignal:
+        if not self.factor:
+            raise ValueError("factor: expected a number other than 0, which makes every value 0")
+        return self
 
 
 class CanMapping(FrozenModel):
@@ -149,6 +155,8 @@ class CanMapping(FrozenModel):
         speed: Forward speed, m/s; needs `yaw_rate`.
         yaw_rate: Rate of turn to the left, rad/s; needs `speed`.
         production: How many vehicles the production system reports, or 1 for any; it reports none at 0.
+        bus: The bus that is read, of a log of several on which the same identifier may mean something else: `can0` in
+            candump's logs, the number of the channel in Vector's. None: each message must come from one bus.
     """
 
     segment: SegmentSignals | None = None
@@ -158,6 +166,7 @@ class CanMapping(FrozenModel):
     speed: NumberSignal | None = None
     yaw_rate: NumberSignal | None = None
     production: NumberSignal | None = None
+    bus: str | None = None
 
     @model_validator(mode="after")
     def _check(self) -> CanMapping:

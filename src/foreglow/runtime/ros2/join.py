@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from foreglow.runtime.ros2.header import Header
@@ -48,7 +48,9 @@ class Join:
     for the next one, `patience_ns` at most, so that all nodes take the same sample.
 
     When a frame is returned, all older ones are dropped: a frame with a lost message never delays those that follow.
-    At most `CAPACITY` frames are kept. All times are by the caller's clock, except those in headers.
+    At most `CAPACITY` frames are kept, and `NUM_SAMPLES` of a sampled topic, or `NUM_FAST_SAMPLES` where they are small
+    and may come a thousand times a second: a frame that is late needs one from before those that came since. All times
+    are by the caller's clock, except those in headers.
 
     Attributes:
         num_dropped: Frames that were dropped although some of their messages were received.
@@ -56,16 +58,25 @@ class Join:
     """
 
     CAPACITY = 8
-    NUM_SAMPLES = 64
+    NUM_SAMPLES, NUM_FAST_SAMPLES = 64, 1000
     HOLD_NS = 500_000_000
     PATIENCE_NS = 20_000_000
 
-    def __init__(self, exact: Sequence[str], sampled: Sequence[str] = (), *, patience_ns: int = PATIENCE_NS) -> None:
-        """A join of messages on these topics."""
+    def __init__(
+        self,
+        exact: Sequence[str],
+        sampled: Sequence[str] = (),
+        *,
+        fast: Collection[str] = (),
+        patience_ns: int = PATIENCE_NS,
+    ) -> None:
+        """A join of messages on these topics; `fast` are those of the sampled ones that have small messages."""
         self._exact = tuple(exact)
         self._frames: dict[Header, _Parts] = {}  # in the order of their first message
         self._patience_ns = patience_ns
-        self._sampled = {topic: _Samples(self.NUM_SAMPLES) for topic in sampled}
+        self._sampled = {
+            topic: _Samples(self.NUM_FAST_SAMPLES if topic in fast else self.NUM_SAMPLES) for topic in sampled
+        }
         self.num_dropped = 0
         self.is_waiting = False
 

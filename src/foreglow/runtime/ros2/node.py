@@ -9,8 +9,10 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.exceptions import ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from foreglow.plugins import words_of
@@ -29,6 +31,8 @@ BAD_MESSAGE = "bad_message"
 """Fault: a message could not be read."""
 INPUT_MISSING = "input_missing"
 """Fault: no input came in time."""
+UNHEARD = "unheard_publisher"
+"""Fault: someone sends on a topic with best effort where we need reliable messages, and get none of those."""
 
 REPORT_NS = 1_000_000_000
 """A node reports its state once in this time, and whenever its faults change."""
@@ -86,7 +90,10 @@ def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
         except RuntimeError as error:  # such as of a folder for logs that cannot be made
             raise ValueError(f"ROS 2 cannot begin: {' '.join(str(error).split())}") from error
     no_service = Parameter("start_type_description_service", value=False)
-    return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
+    try:
+        return rclpy.create_node(name, start_parameter_services=False, parameter_overrides=[no_service])
+    except ParameterException as error:  # such as of `use_sim_time` that is no truth value
+        raise ValueError(f"ROS 2 cannot begin: {' '.join(str(error).split())}") from error
 
 
 class FrameNode(ABC, Generic[Inputs]):
@@ -122,9 +129,11 @@ class FrameNode(ABC, Generic[Inputs]):
         self.num_frames = 0
         exact = tuple(dict.fromkeys(exact))
         patience_ns = Join.PATIENCE_NS if patience_s is None else round(patience_s * 1e9)
-        self._join = Join(exact, sampled, patience_ns=patience_ns)
+        self._join = Join(exact, sampled, fast=topics.FAST, patience_ns=patience_ns)
         self._sequence: str | None = None
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
+        self._reliable: list[str] = []
+        self._looked_ns = 0
         self._slowest_ms: dict[str, float] = {}
         self._timing = self.publisher(topics.TIMING)
         self._diagnostics = self.ros.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, topics.NUM_KEPT)
@@ -182,6 +191,7 @@ class FrameNode(ABC, Generic[Inputs]):
         if joined is not None:
             self._work_on(joined)
         self.idle(time.monotonic_ns())
+        self._look_for_unheard(time.monotonic_ns())
         self._report()
 
     def close(self) -> None:
@@ -198,7 +208,28 @@ class FrameNode(ABC, Generic[Inputs]):
                 return
             self._join.put(topic, header, message, time.monotonic_ns())
 
-        self.ros.create_subscription(topics.TYPES[topic], topic, take, topics.subscriber_quality(topic, depth))
+        quality = topics.subscriber_quality(topic, depth)
+        subscription = self.ros.create_subscription(topics.TYPES[topic], topic, take, quality)
+        if quality.reliability == ReliabilityPolicy.RELIABLE:
+            self._reliable.append(subscription.topic_name)
+
+    def _look_for_unheard(self, now_ns: int) -> None:
+        """Looks once a second whether all that is sent on our topics can reach us: ROS 2 drops the rest silently."""
+        if now_ns - self._looked_ns < REPORT_NS:
+            return
+        self._looked_ns = now_ns
+        unheard = [
+            topic
+            for topic in self._reliable
+            for publisher in self.ros.get_publishers_info_by_topic(topic)
+            if publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        ]
+        if unheard:
+            self._note(
+                UNHEARD, ValueError(f"{unheard[0]}: expected a publisher with reliable messages, got best effort")
+            )
+        else:
+            self.faults.discard(UNHEARD)
 
     def _work_on(self, joined: Joined) -> None:
         header = joined.header

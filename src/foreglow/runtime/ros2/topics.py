@@ -47,6 +47,9 @@ INPUTS = (CAMERA_INFO, MOUNT, TWIST, ATTITUDE, ROAD, DAMAGE, REPORTED, IMAGE)
 SENSORS = (IMAGE, CAMERA_INFO, TWIST, ATTITUDE)
 """Topics that other people's drivers publish, too; we accept any reliability that they offer."""
 
+FAST = (TWIST, ATTITUDE)
+"""Topics of small messages that may come a thousand times a second, as an inertial sensor's do."""
+
 NUM_KEPT = 10
 """Messages that are kept for a slow subscriber."""
 
