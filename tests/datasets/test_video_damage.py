@@ -16,12 +16,12 @@ from tests.datasets.test_video import NUM_FRAMES, make_video
 GOP = 12
 
 
-def make_stream(path: Path, *, num_frames: int = 60) -> bytes:
+def make_stream(path: Path, *, num_frames: int = 60, codec: str = "mpeg2video") -> bytes:
     """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame."""
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (96, 128 + num_frames, 3), np.uint8)
     with av.open(str(path), "w", format="mpegts") as container:
-        stream: Any = container.add_stream("mpeg2video", rate=25)
+        stream: Any = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
         stream.bit_rate, stream.gop_size = 1_000_000, GOP
         for index in range(num_frames):
@@ -87,6 +87,25 @@ def test_a_damaged_key_frame_does_not_end_the_damage(tmp_path: Path) -> None:
     assert not any(is_damaged[3 * GOP + 1 :])
 
 
+def test_frames_before_the_first_key_frame_are_damaged(tmp_path: Path) -> None:
+    """A stream that is joined between key frames: this decoder takes grey for what it has not seen."""
+    path = tmp_path / "joined.ts"
+    make_stream(path, num_frames=40, codec="mpeg4")
+    whole = [frame.image for frame in Video(path)]
+    position, _ = packets_of(path)[GOP // 2]
+    path.write_bytes(path.read_bytes()[position // 188 * 188 :])
+    frames = list(Video(path, on_error="mark"))
+    errors = [
+        float(np.abs(frame.image.astype(int) - image).mean())
+        for frame, image in zip(frames[::-1], whole[::-1], strict=False)
+    ][::-1]
+    num_damaged = [frame.is_damaged for frame in frames].index(False)
+    assert 0 < num_damaged <= GOP
+    assert min(errors[:num_damaged]) > 5
+    assert max(errors[num_damaged:]) == 0
+    assert not any(frame.is_damaged for frame in frames[num_damaged:])
+
+
 def test_what_cannot_be_decoded_at_the_end_is_an_error(tmp_path: Path) -> None:
     path = make_video(tmp_path / "clip.avi", codec="mjpeg", pixels="yuvj420p")
     position, size = packets_of(path)[-1]
@@ -125,6 +144,9 @@ def make_noise(path: Path, codec: str, pixels: str = "yuv420p", num_frames: int 
         ("clip.mov", "prores_ks", "yuv422p10le"),
         ("clip.mp4", "libx265", "yuv420p"),
         ("clip.avi", "huffyuv", "yuv422p"),
+        ("clip.mov", "cfhd", "yuv422p10le"),
+        ("clip.avi", "msvideo1", "rgb555le"),
+        ("clip.mov", "qtrle", "rgb24"),
     ],
 )
 def test_intact_films_give_no_alarm(tmp_path: Path, name: str, codec: str, pixels: str) -> None:
