@@ -61,7 +61,18 @@ def test_paced_sequences_each_have_their_time() -> None:
     assert max(ages_ns) < 20 * 1e9
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
+def test_a_time_that_is_hours_away_is_not_waited_for() -> None:
+    frames = night_frames(6)
+    frames[3:] = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns + 7200 * 10**9) for frame in frames[3:]]
+    paced = Paced(ListSource(frames))
+    begun_s = time.monotonic()
+    early_ns = [paced.now_ns() - frame.timestamp_ns for frame in paced]
+    assert time.monotonic() - begun_s < 60
+    assert min(early_ns) >= 0
+    assert max(early_ns) < 60 * 1e9
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1e-300, math.nan])
 def test_impossible_speed(speed: float) -> None:
     with pytest.raises(ValueError, match="speed: expected a positive number"):
         Paced(ListSource([]), speed)
