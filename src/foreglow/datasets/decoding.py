@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
@@ -72,8 +73,8 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     key frame counts only if the packet before it was whole, too. A stream without further key frames (intra refresh)
     stays damaged. A packet that cannot be decoded does not end the stream. Damaged are also the pictures before the
     first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
-    a picture of FFV1 with a wrong checksum, and one of MJPEG that only a lenient decoder takes; FFmpeg tells of neither
-    but in its log.
+    a picture of FFV1 with a wrong checksum, one of MJPEG that only a lenient decoder takes, and those of H.264 after a
+    missing frame; FFmpeg tells of none but in its log.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
     wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
@@ -91,11 +92,14 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     codec.thread_type = "NONE"
     codec.flags |= Flags.copy_opaque  # pictures carry the number of their packet
     checksums = _Ffv1Checksums() if codec.name == "ffv1" else None
+    numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
     damaged, key, latest = -math.inf, -math.inf, -1  # numbers of packets
     for number, packet in enumerate(_packets(container, stream)):
         packet.opaque = number
         is_key = packet.is_keyframe
         if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
+            damaged = number
+        if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
             damaged = number
         try:
             pictures = packet.decode()
