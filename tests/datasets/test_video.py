@@ -232,7 +232,7 @@ def test_a_cover_picture_is_not_the_video(tmp_path: Path) -> None:
 
 
 def test_a_cover_picture_alone_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="expected a video stream, the file has none"):
+    with pytest.raises(ValueError, match="expected a video stream, it has none"):
         Video(make_covered(tmp_path / "song.mp4", has_film=False))
 
 
@@ -244,7 +244,7 @@ def test_sound_without_pictures(tmp_path: Path) -> None:
         sound.sample_rate = 48000
         container.mux(stream.encode(sound))
         container.mux(stream.encode(None))
-    with pytest.raises(ValueError, match="expected a video stream, the file has none"):
+    with pytest.raises(ValueError, match="expected a video stream, it has none"):
         Video(path)
 
 

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
+from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.source import OnError
 from tests.datasets.test_video import NUM_FRAMES, make_video
 
 GOP = 12
 
 
-def make_stream(path: Path, *, num_frames: int = 60) -> bytes:
+def make_stream(path: Path, *, num_frames: int = 60, codec: str = "mpeg2video") -> bytes:
     """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame."""
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (96, 128 + num_frames, 3), np.uint8)
     with av.open(str(path), "w", format="mpegts") as container:
-        stream: Any = container.add_stream("mpeg2video", rate=25)
+        stream: Any = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
         stream.bit_rate, stream.gop_size = 1_000_000, GOP
         for index in range(num_frames):
@@ -87,6 +88,81 @@ def test_a_damaged_key_frame_does_not_end_the_damage(tmp_path: Path) -> None:
     assert not any(is_damaged[3 * GOP + 1 :])
 
 
+def test_frames_before_the_first_key_frame_are_damaged(tmp_path: Path) -> None:
+    """A stream that is joined between key frames: this decoder takes grey for what it has not seen."""
+    path = tmp_path / "joined.ts"
+    make_stream(path, num_frames=40, codec="mpeg4")
+    whole = [frame.image for frame in Video(path)]
+    position, _ = packets_of(path)[GOP // 2]
+    path.write_bytes(path.read_bytes()[position // 188 * 188 :])
+    frames = list(Video(path, on_error="mark"))
+    errors = [
+        float(np.abs(frame.image.astype(int) - image).mean())
+        for frame, image in zip(frames[::-1], whole[::-1], strict=False)
+    ][::-1]
+    num_damaged = [frame.is_damaged for frame in frames].index(False)
+    assert 0 < num_damaged <= GOP
+    assert min(errors[:num_damaged]) > 5
+    assert max(errors[num_damaged:]) == 0
+    assert not any(frame.is_damaged for frame in frames[num_damaged:])
+
+
+def write_h264(path: Path, pixels: str, parameters: str) -> None:
+    """A film of noise that moves, with a key frame every `GOP` frames."""
+    noise = np.random.default_rng(1).integers(0, 255, (96, 128 + 40), np.uint8)
+    with av.open(str(path), "w") as container:
+        options = {"preset": "fast", "tune": "zerolatency", "x264-params": parameters}
+        stream: Any = container.add_stream("libx264", rate=18, options=options)
+        stream.width, stream.height, stream.pix_fmt, stream.gop_size = 128, 96, pixels, GOP
+        for index in range(40):
+            view = np.ascontiguousarray(noise[:, index : index + 128])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray").reformat(format=pixels)))
+        container.mux(stream.encode(None))
+
+
+def leave_out_packet(path: Path, whole: Path, number: int) -> None:
+    """Writes `whole` without one of its packets."""
+    read: Any = av.open(str(whole))
+    with read, av.open(str(path), "w") as written:
+        stream: Any = written.add_stream_from_template(read.streams.video[0])
+        for index, packet in enumerate(read.demux(read.streams.video[0])):
+            if packet.size and index != number:
+                packet.stream = stream
+                written.mux(packet)
+
+
+@pytest.mark.parametrize("suffix", [".ts", ".mkv", ".mp4", ".avi"])
+@pytest.mark.parametrize(
+    ("pixels", "parameters"),
+    [
+        ("yuv420p", "ref=1"),
+        ("yuv420p", "interlaced=1"),
+        ("yuv420p", "slices=4:cqm=jvt"),
+        ("yuv420p10le", "open-gop=1"),
+        ("yuv444p", "cqm=jvt"),
+    ],
+)
+def test_frames_of_h264_after_a_missing_one_are_damaged(
+    tmp_path: Path, suffix: str, pixels: str, parameters: str
+) -> None:
+    """Of a camera that leaves out frames when its network is busy, no packet is broken."""
+    whole, path = tmp_path / f"whole{suffix}", tmp_path / f"night{suffix}"
+    write_h264(whole, pixels, parameters)
+    assert [frame.is_damaged for frame in Video(whole, on_error="mark")] == [False] * 40
+    leave_out_packet(path, whole, GOP + 5)
+    marked = [frame.is_damaged for frame in Video(path, on_error="mark")]
+    assert marked == [False] * (GOP + 5) + [True] * 6 + [False] * 16
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_numbers_of_any_bytes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    extradata = rng.choice([b"", b"\x01", b"\0\0\1\x67"]) + rng.bytes(60)
+    numbers = H264Numbers(extradata)
+    for _ in range(100):
+        assert numbers.are_broken(b"\0\0\1" + rng.bytes(50)) in (True, False)
+
+
 def test_what_cannot_be_decoded_at_the_end_is_an_error(tmp_path: Path) -> None:
     path = make_video(tmp_path / "clip.avi", codec="mjpeg", pixels="yuvj420p")
     position, size = packets_of(path)[-1]
@@ -125,6 +201,9 @@ def make_noise(path: Path, codec: str, pixels: str = "yuv420p", num_frames: int 
         ("clip.mov", "prores_ks", "yuv422p10le"),
         ("clip.mp4", "libx265", "yuv420p"),
         ("clip.avi", "huffyuv", "yuv422p"),
+        ("clip.mov", "cfhd", "yuv422p10le"),
+        ("clip.avi", "msvideo1", "rgb555le"),
+        ("clip.mov", "qtrle", "rgb24"),
     ],
 )
 def test_intact_films_give_no_alarm(tmp_path: Path, name: str, codec: str, pixels: str) -> None:

@@ -177,6 +177,7 @@ def _run(
                 outputs=outputs,
                 sinks=[LiveStatus(), *sinks, *([] if kept is None else [kept])],
                 beat=notifier.beat,
+                at_end=notifier.close,
                 give_up_s=give_up_s,
             )
         error = None

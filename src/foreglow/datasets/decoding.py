@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import zlib
 from collections.abc import Iterator
@@ -11,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.images import Chroma, if_coloured
+from foreglow.datasets.h264_numbers import H264Numbers
+from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
 
@@ -38,8 +40,29 @@ FILM_FORMATS = (
 """FFmpeg's names of the containers and raw streams that cameras and recorders write. FFmpeg knows 300 more, among them
 text art, which takes any prose for a video, and play lists, which open other files."""
 
+CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
+"""A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
+
 _WHOLE_RANGE = 2
 """FFmpeg's number for pictures whose values reach from 0 to 255."""
+
+
+def video_stream(container: Any, name: str) -> Any:
+    """The first video stream of what is called `name`, with `CODEC_OPTIONS`; a cover picture is none.
+
+    Raises:
+        ValueError: If there is none, or no decoder for it.
+    """
+    from av.stream import Disposition
+
+    streams = [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
+    if not streams:
+        raise ValueError(f"{name}: expected a video stream, it has none")
+    stream = streams[0]
+    if stream.codec_context is None:
+        raise ValueError(f"{name}: expected a known video codec, no decoder here for stream {stream.index}")
+    stream.codec_context.options = CODEC_OPTIONS
+    return stream
 
 
 def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
@@ -48,8 +71,10 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     Damaged are the pictures from a packet that is cut, incomplete or undecodable on, because each is coded as what
     differs from those before, until the next key frame. A demultiplexer may tell of a loss one packet early, hence a
     key frame counts only if the packet before it was whole, too. A stream without further key frames (intra refresh)
-    stays damaged. A packet that cannot be decoded does not end the stream. So is a picture of FFV1 with a wrong
-    checksum, and one of MJPEG that only a lenient decoder takes; FFmpeg tells of neither but in its log.
+    stays damaged. A packet that cannot be decoded does not end the stream. Damaged are also the pictures before the
+    first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
+    a picture of FFV1 with a wrong checksum, one of MJPEG that only a lenient decoder takes, and those of H.264 after a
+    missing frame; FFmpeg tells of none but in its log.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
     wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
@@ -67,10 +92,14 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     codec.thread_type = "NONE"
     codec.flags |= Flags.copy_opaque  # pictures carry the number of their packet
     checksums = _Ffv1Checksums() if codec.name == "ffv1" else None
-    damaged, key, latest = -math.inf, -1, -1  # numbers of packets
-    for number, packet in enumerate(container.demux(stream)):
+    numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
+    damaged, key, latest = -math.inf, -math.inf, -1  # numbers of packets
+    for number, packet in enumerate(_packets(container, stream)):
         packet.opaque = number
+        is_key = packet.is_keyframe
         if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
+            damaged = number
+        if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
             damaged = number
         try:
             pictures = packet.decode()
@@ -83,12 +112,26 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             origin = number if picture.opaque is None else picture.opaque
             if picture.is_corrupt:
                 damaged = max(damaged, origin)
-            if picture.key_frame:
+            if picture.key_frame or (key < 0 and is_key):  # some decoders mark no picture
                 key = origin
             latest = max(latest, origin)
             yield picture, damaged >= key - 1
     if damaged > latest:
         yield None, True
+
+
+def _packets(container: Any, stream: Any) -> Iterator[Any]:
+    """The packets of `stream`.
+
+    Raises:
+        FFmpegError: If the container cannot be read any further.
+    """
+    from av.error import InvalidDataError
+
+    try:
+        yield from container.demux(stream)
+    except IndexError as error:  # PyAV does not know streams that begin later, such as where an encoder was restarted
+        raise InvalidDataError(errno.EINVAL, "another stream begins") from error
 
 
 def _leniently_decoded(codec: Any, packet: Any) -> list[Any]:

@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from foreglow.datasets.decoding import FILM_FORMATS, decoded, grey_image, picture_chroma
+from foreglow.datasets.decoding import CODEC_OPTIONS, FILM_FORMATS, decoded, grey_image, picture_chroma, video_stream
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.types import Frame
@@ -37,9 +37,6 @@ _CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
 
 _VAGUE = (errno.EINVAL, errno.EBUSY)
 """What FFmpeg says of a format that is not allowed, and of a picture that is too large."""
-
-_CODEC_OPTIONS = {"max_pixels": str(MAX_SIDE_PX**2)}
-"""A decoder takes memory for a picture before anyone can ask for its size; it refuses larger ones itself."""
 
 
 class Video(FileSource):
@@ -170,24 +167,16 @@ class Video(FileSource):
     def _opened(self) -> Iterator[tuple[Any, Any]]:
         import av  # only here: most commands read no video, and start sooner without
         from av.error import FFmpegError
-        from av.stream import Disposition
 
         try:
             # Without a protocol, a name with a colon would be an address.
-            container: Any = av.open(f"file:{self.path}", options=_CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)
+            container: Any = av.open(f"file:{self.path}", options=CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)
         except (FFmpegError, ValueError) as error:
             expected = f"expected a video (such as MP4, MKV or AVI) of at most {MAX_SIDE_PX} px a side"
             reason = "" if getattr(error, "errno", 0) in _VAGUE else f": {getattr(error, 'strerror', error)}"
             raise ValueError(self._truncation or f"{self.path}: {expected}, cannot be opened{reason}") from error
         with container:
-            streams = [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
-            if not streams:
-                raise ValueError(f"{self.path}: expected a video stream, the file has none")
-            stream = streams[0]
-            if stream.codec_context is None:
-                raise ValueError(f"{self.path}: expected a known video codec, no decoder here for stream 0")
-            stream.codec_context.options = _CODEC_OPTIONS
-            yield container, stream
+            yield container, video_stream(container, str(self.path))
 
 
 def _stated_end_ns(container: Any) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import socket
 import sys
@@ -14,10 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.faulty import live_config
 from foreglow.config import LiveConfig
+from foreglow.pipeline import Pipeline
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.json_lines import LineSink
 from foreglow.runtime.health import Health
+from foreglow.runtime.live import LiveLoop, Paced
 from foreglow.runtime.live.background import NUM_WAITING, Background
 from foreglow.runtime.live.faults import MAX_EVENTS, FaultBook
 from foreglow.runtime.live.kept_results import KeptResults
@@ -27,7 +31,7 @@ from foreglow.runtime.live.notify import ServiceNotifier
 from foreglow.runtime.live.watch import FrameWatch
 from foreglow.types import Frame, FrameResult
 from tests.runtime.live.stand_ins import Keeper
-from tests.stand_ins import night_frames, result_of
+from tests.stand_ins import ListSource, night_frames, result_of
 
 PERIOD_NS = 50_000_000
 
@@ -305,9 +309,26 @@ def test_service_notifier(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         notifier.beat()
         time.sleep(0.001)
         notifier.beat()
+        notifier.close()
         notifier.stop()
-        told = [service.recv(100).decode() for _ in range(4)]
-    assert told == ["READY=1", "WATCHDOG=1", "WATCHDOG=1", "STOPPING=1"]
+        told = [service.recv(100).decode() for _ in range(5)]
+    assert told == ["READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG_USEC=120000000", "STOPPING=1"]
+
+
+def test_the_end_of_a_run_is_told_before_sinks_are_completed() -> None:
+    """A watchdog must not end the program while a recording is completed on a slow disk."""
+    keeper, ends = Keeper(), []
+    configuration = live_config()
+    loop = LiveLoop(
+        Paced(ListSource(night_frames(2)), math.inf),
+        lambda: Pipeline(configuration),
+        configuration,
+        sinks=[keeper],
+        at_end=lambda: ends.extend(["told", *keeper.ends]),
+    )
+    loop.run()
+    assert ends == ["told"]
+    assert keeper.ends == ["close"]
 
 
 def test_service_notifier_whose_socket_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

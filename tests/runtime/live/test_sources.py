@@ -26,10 +26,11 @@ from foreglow.datasets import Video, open_source, shipped_drive
 from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
-from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
+from foreglow.runtime.live import ClosedLoop, LiveFault, Paced, cameras
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_camera, open_live
 from foreglow.types import BeamMode, Frame
+from tests.datasets.test_video import make_shown
 from tests.runtime.live.stand_ins import Keeper, run_live
 from tests.stand_ins import ListSource, night_frames, night_image
 
@@ -60,7 +61,18 @@ def test_paced_sequences_each_have_their_time() -> None:
     assert max(ages_ns) < 20 * 1e9
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
+def test_a_time_that_is_hours_away_is_not_waited_for() -> None:
+    frames = night_frames(6)
+    frames[3:] = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns + 7200 * 10**9) for frame in frames[3:]]
+    paced = Paced(ListSource(frames))
+    begun_s = time.monotonic()
+    early_ns = [paced.now_ns() - frame.timestamp_ns for frame in paced]
+    assert time.monotonic() - begun_s < 60
+    assert min(early_ns) >= 0
+    assert max(early_ns) < 60 * 1e9
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1e-300, math.nan])
 def test_impossible_speed(speed: float) -> None:
     with pytest.raises(ValueError, match="speed: expected a positive number"):
         Paced(ListSource([]), speed)
@@ -162,11 +174,11 @@ def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:
     ]
 
 
-def mpeg_stream(num_frames: int) -> bytes:
+def mpeg_stream(num_frames: int, codec: str = "mpeg2video", pid: int = 0x100) -> bytes:
     """A short stream as a network camera sends it."""
     file = io.BytesIO()
-    with av.open(file, "w", format="mpegts") as container:
-        stream: Any = container.add_stream("mpeg2video", rate=25)
+    with av.open(file, "w", format="mpegts", options={"mpegts_start_pid": str(pid)}) as container:
+        stream: Any = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
         for number in range(num_frames):
             grey = np.repeat(night_image(number)[:, :, np.newaxis], 3, axis=2).astype(np.uint8)
@@ -196,6 +208,75 @@ def test_stream_over_a_network() -> None:
     assert frames[0].image.shape == (96, 128)
     times_ns = [frame.timestamp_ns for frame in frames]
     assert times_ns == sorted(set(times_ns))
+
+
+@contextlib.contextmanager
+def served(*parts: bytes) -> Iterator[StreamCamera]:
+    """A stream of these parts, each 50 ms after the one before it."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            connection, _ = server.accept()
+            with connection:
+                for part in parts:
+                    connection.sendall(part)
+                    time.sleep(0.05)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    camera = open_live(f"tcp://127.0.0.1:{server.getsockname()[1]}", CameraOptions())
+    assert isinstance(camera, StreamCamera)
+    try:
+        yield camera
+    finally:
+        server.close()
+        thread.join()
+
+
+def test_a_stream_that_is_joined_between_key_frames() -> None:
+    """Some decoders show grey in place of what they have not seen, which is no image."""
+    data = mpeg_stream(12, "mpeg4")
+    with served(data[len(data) // 2 // 188 * 188 :], *[data] * 10) as camera:
+        frames = list(itertools.islice(camera, 40))
+    assert frames[0].is_damaged
+    assert not frames[-1].is_damaged
+
+
+def test_a_stream_that_changes_its_codec_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its packets come, and nothing can be made of them."""
+    monkeypatch.setattr(cameras, "PICTURE_S", 0.5)
+    with (
+        served(*[mpeg_stream(12)] * 20, *[mpeg_stream(12, "mpeg4")] * 60) as camera,
+        pytest.raises(OSError, match=r"tcp://127.0.0.1:\d+: no picture for 0.5 s"),
+    ):
+        list(camera)
+
+
+def test_a_stream_that_goes_on_elsewhere_is_opened_again() -> None:
+    """As where an encoder was restarted with other settings."""
+    with (
+        served(*[mpeg_stream(12)] * 20, *[mpeg_stream(12, pid=0x140)] * 20) as camera,
+        pytest.raises(OSError, match=r"tcp://127.0.0.1:\d+: another stream begins"),
+    ):
+        list(camera)
+
+
+def test_a_stream_that_is_silent_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cameras, "OPEN_S", 0.3)
+    silent = [b""] * 20
+    with (
+        served(*silent) as camera,
+        pytest.raises(OSError, match=r"tcp://127.0.0.1:\d+: cannot be opened: nothing came for 0.3 s"),
+    ):
+        list(camera)
+
+
+def test_a_stream_is_shown_upright(tmp_path: Path) -> None:
+    film = make_shown(tmp_path / "clip.mp4", turned_deg=90, is_mirrored=False)
+    shown = next(iter(StreamCamera(f"file://{film}", CameraOptions())))
+    assert shown.image.shape == (128, 96)
+    assert shown.is_damaged  # its key frame was taken to examine the stream
 
 
 def test_incomplete_images_of_a_stream_of_jpegs() -> None:

@@ -11,10 +11,10 @@ from typing import Any
 
 import av
 import cv2
-from av.error import FFmpegError
+from av.error import ExitError, FFmpegError
 
 from foreglow.datasets import VehicleData, to_grey
-from foreglow.datasets.decoding import decoded, picture_chroma
+from foreglow.datasets.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
 from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chroma
 from foreglow.datasets.vehicle_data import equip
 from foreglow.types import Frame, Image
@@ -22,6 +22,8 @@ from foreglow.types import Frame, Image
 OPEN_S, READ_S = 5.0, 1.0
 """Longest time that a network stream may take to open, and to deliver its next packet."""
 
+PICTURE_S = 30.0
+"""Longest time until packets of a network stream become a picture: encoders send a key frame more often."""
 
 MAX_DIGITS = 3
 """Of a camera's number."""
@@ -145,18 +147,47 @@ class StreamCamera(LiveCamera):
     """A network stream, such as RTSP, through FFmpeg; its name is its address, its size and rate are its own."""
 
     def __iter__(self) -> Iterator[Frame]:
-        options = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay"}
+        options = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay", **CODEC_OPTIONS}
         try:
             container: Any = av.open(self.name, options=options, timeout=(OPEN_S, READ_S))
         except (FFmpegError, ValueError) as error:
-            raise OSError(f"{self.name}: cannot be opened: {getattr(error, 'strerror', error)}") from error
+            raise OSError(f"{self.name}: cannot be opened: {_reason(error, OPEN_S)}") from error
         with closing(container):
-            if not container.streams.video:
-                raise OSError(f"{self.name}: expected a video stream, it has none")
+            awaited = _Awaited(container, self.name)
             try:
-                for picture, is_damaged in decoded(container, container.streams.video[0]):
+                for picture, is_damaged in decoded(awaited, video_stream(container, self.name)):
                     if picture is not None:
-                        image, chroma = picture.to_ndarray(format="gray"), picture_chroma(picture)
+                        awaited.seen_s = time.monotonic()
+                        image, chroma = grey_image(picture), picture_chroma(picture)
                         yield self.arrived(image, is_damaged=is_damaged, red_chroma=chroma)
             except FFmpegError as error:
-                raise OSError(f"{self.name}: {error.strerror}") from error
+                raise OSError(f"{self.name}: {_reason(error, READ_S)}") from error
+
+
+class _Awaited:
+    """A stream's container that is given up where packets come but no pictures of them, as after a change of codec.
+
+    Attributes:
+        seen_s: When the latest picture was decoded, by the machine's steady clock.
+    """
+
+    def __init__(self, container: Any, name: str) -> None:
+        self._container, self._name = container, name
+        self.seen_s = time.monotonic()
+
+    def demux(self, stream: Any) -> Iterator[Any]:
+        """The packets of `stream`.
+
+        Raises:
+            OSError: If there was no picture for `PICTURE_S`.
+        """
+        for packet in self._container.demux():
+            if time.monotonic() - self.seen_s > PICTURE_S:
+                raise OSError(f"{self._name}: no picture for {PICTURE_S:g} s")
+            if packet.stream is stream:
+                yield packet
+
+
+def _reason(error: Exception, limit_s: float) -> str:
+    """Why a stream could not be opened or read, where it had so much time."""
+    return f"nothing came for {limit_s:g} s" if isinstance(error, ExitError) else getattr(error, "strerror", str(error))

@@ -99,6 +99,7 @@ class LiveLoop:
         outputs: Sequence[BeamOutput] = (),
         sinks: Sequence[LiveSink] = (),
         beat: Callable[[], None] = lambda: None,
+        at_end: Callable[[], None] = lambda: None,
         give_up_s: float | None = None,
     ) -> None:
         """A loop that can be run once.
@@ -110,6 +111,7 @@ class LiveLoop:
             outputs: Where commands are sent.
             sinks: Where results and health reports are written.
             beat: Called several times a frame period while the loop runs: for an external watchdog.
+            at_end: Called before threads are ended and sinks completed, which may take long and is without beats.
             give_up_s: End after so long without a frame; None waits for ever.
 
         Raises:
@@ -117,7 +119,7 @@ class LiveLoop:
         """
         self._source, self._config = source, config.live
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
-        self._give_up_s = give_up_s
+        self._at_end, self._give_up_s = at_end, give_up_s
         self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
         self._wait_s = self._period_s / (1.0 if source.is_lossless else source.speed)
         # With a lossless source, which waits for the computation, a slow machine is no fault.
@@ -220,6 +222,7 @@ class LiveLoop:
 
     def _stop(self, reader: threading.Thread) -> None:
         """Ends the threads, completes the sinks, and leaves the lamps in low beam."""
+        self._at_end()
         self._is_stopped.set()
         self._mailbox.close()
         self._worker.stop(self._config.abandon_s)

@@ -10,6 +10,9 @@ import os
 import socket
 import time
 
+CLOSING_S = 120.0
+"""Time for completing what was recorded, as on a slow disk; then a program that has not ended may be killed."""
+
 
 class ServiceNotifier:
     """Speaks sd_notify's protocol where `NOTIFY_SOCKET` names a socket, and does nothing elsewhere."""
@@ -30,6 +33,11 @@ class ServiceNotifier:
             return
         self._beat_s = now_s
         self._send("WATCHDOG=1")
+
+    def close(self) -> None:
+        """Asks for `CLOSING_S`, in which no WATCHDOG comes; does nothing without a watchdog."""
+        if self._interval_s:
+            self._send(f"WATCHDOG_USEC={round(CLOSING_S * 1e6)}")
 
     def stop(self) -> None:
         """Sends STOPPING."""

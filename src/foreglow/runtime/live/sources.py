@@ -19,6 +19,13 @@ READ_AFTER = 0.5
 """The next recorded frame is read after this share of a frame period, so that decoding does not disturb computing."""
 
 
+MIN_SPEED = 0.01
+"""Slowest replay."""
+
+MAX_GAP_NS = 10_000_000_000
+"""A longer gap between two recorded frames is not waited for: a single wrong time may be hours away."""
+
+
 class LiveSource(FrameSource, Protocol):
     """Frames in real time; iterating waits for each of them."""
 
@@ -66,7 +73,8 @@ class ClosedLoop(ABC):
 class Paced:
     """Replays another source's frames at their own timestamps, or faster; the clock runs at the same speed.
 
-    A sequence begins one frame period after the previous one. At infinite speed each frame comes as soon as the
+    A sequence begins one frame period after the previous one, and so do frames after a gap of more than `MAX_GAP_NS`.
+    At infinite speed each frame comes as soon as the
     previous one was taken, and the clock stands still at the latest frame.
     """
 
@@ -77,10 +85,10 @@ class Paced:
         """Replays `source` so many times as fast as it was recorded.
 
         Raises:
-            ValueError: If the speed is not positive.
+            ValueError: If the speed is below `MIN_SPEED`.
         """
-        if not speed > 0:
-            raise ValueError(f"speed: expected a positive number, got {speed}")
+        if not speed >= MIN_SPEED:
+            raise ValueError(f"speed: expected a positive number of at least {MIN_SPEED:g}, got {speed}")
         self._source = source
         self.name, self.rate_hz, self.num_frames = origin_name(source), source.rate_hz, source.num_frames
         self.speed, self.is_lossless = speed, math.isinf(speed)
@@ -105,9 +113,10 @@ class Paced:
         return self._first_ns + round((time.monotonic_ns() - self._start_ns) * self.speed)
 
     def __iter__(self) -> Iterator[Frame]:
-        sequence: str | None = None
+        sequence, latest_ns = None, 0
         for frame in self._source:
-            if frame.sequence != sequence or self.is_lossless:
+            has_gap, latest_ns = frame.timestamp_ns - latest_ns > MAX_GAP_NS, frame.timestamp_ns
+            if frame.sequence != sequence or has_gap or self.is_lossless:
                 if sequence is not None and not self.is_lossless:
                     time.sleep(self._wait_s)  # by then the previous frame has been processed
                 sequence, self._first_ns, self._start_ns = frame.sequence, frame.timestamp_ns, time.monotonic_ns()
