@@ -51,7 +51,7 @@ ALLOWED: dict[str, set[str]] = {
     | {"calibration", "maps", "folder_lock", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "whole_files", "datasets", "runs", "runtime"},
     "folder_lock": set(),
-    "outputs": {"files", "datasets"},
+    "outputs": {"files", "whole_files", "datasets"},
     "inputs": {"files", "outputs"},
     "options": {"config", "beam", "datasets", "files", "inputs", "folder_lock", "outputs", "parallel"},
     "lab": set(),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -19,8 +21,8 @@ from foreglow.pipeline import Pipeline, Stages
 from foreglow.proposals import BACKENDS
 from foreglow.stopwatch import Stopwatch
 from foreglow.tracking import Tracker, make_tracker
-from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Ranges, Tracks
-from tests.stand_ins import REFERENCE, night_frames, night_image
+from foreglow.types import BeamCommand, BeamMode, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
+from tests.stand_ins import REFERENCE, night_frames, night_image, tracks_of
 
 
 def identity(result: FrameResult) -> tuple[object, ...]:
@@ -294,6 +296,53 @@ class Reusing(RangeEstimator):
 def test_a_plug_in_that_uses_its_arrays_again_changes_no_earlier_result() -> None:
     results = list(Pipeline(estimator=Reusing()).run(shipped_frames(60, 3)))
     assert [result.ranges.ranges_m[0] for result in results if result.ranges is not None] == [2.0, 3.0, 4.0]
+
+
+class ReusingVehicles(Tracker):
+    """A tracker of one vehicle that keeps its arrays, as one that is written for speed may."""
+
+    def __init__(self) -> None:
+        self.confidences = np.zeros(1)
+
+    def reset(self) -> None:
+        self.confidences[:] = 0.0
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:  # noqa: ARG002
+        self.confidences += 0.125
+        one = np.ones(1, np.int64)
+        return replace(
+            tracks_of([[1, 2, 3, 4]], ids=[1]),
+            vehicles=Vehicles(one, one, self.confidences, np.ones(1, np.bool_), one, np.zeros(1, np.int64)),
+        )
+
+
+def test_nor_does_one_that_uses_those_of_its_vehicles_again() -> None:
+    results = list(Pipeline(tracker=ReusingVehicles()).run(shipped_frames(60, 3)))
+    vehicles = [result.tracks.vehicles for result in results if result.tracks is not None]
+    assert [each.confidences[0] for each in vehicles if each is not None] == [0.125, 0.25, 0.375]
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_pipeline_cannot_be_copied(copied: Callable[[Pipeline], object]) -> None:
+    """Two that share their stages would mix what they remember."""
+    with pytest.raises(TypeError, match=r"Pipeline: cannot be copied or pickled; make one of its config"):
+        copied(Pipeline(REFERENCE))
+
+
+class Crowded(BeamPolicy):
+    """A policy of far too many gaps."""
+
+    def __init__(self) -> None:
+        """It has no parameters."""
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        gaps = np.linspace(-1.0, 1.0, 4002).reshape(-1, 2)
+        return BeamCommand(frame.timestamp_ns, BeamMode.GLARE_FREE, np.ones((2, 84)), gaps, np.full(len(gaps), 50.0))
+
+
+def test_too_many_gaps_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"beam\.policy: expected at most 2000 gaps of a frame, got 2001"):
+        Pipeline(policy=Crowded()).step(shipped_frames(60, 1)[0])
 
 
 class Late(Reusing):

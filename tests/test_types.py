@@ -53,7 +53,34 @@ def test_frame_refuses_what_is_no_time(time: Any) -> None:
         Frame(np.zeros((3, 5), np.uint8), timestamp_ns=time, path="a.png")
 
 
-def test_frame_keeps_a_plain_number_as_its_time() -> None:
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("frame", "7", "a whole number, got str"),
+        ("frame", 1.5, "a whole number, got float"),
+        ("frame", 2**63, "a whole number of 64 bits, got 9223372036854775808"),
+        ("sequence", None, "a name, got NoneType"),
+        ("motion", (10.0, 0.0), "an EgoMotion or None, got tuple"),
+        ("road", np.zeros((4, 3)), "a RoadAhead or None, got ndarray"),
+        ("is_damaged", None, "True or False, got NoneType"),
+        ("is_reported", "yes", "True, False or None, got str"),
+        ("earlier", np.zeros((3, 5), np.uint8), "a Frame or None, got ndarray"),
+        ("red_chroma", "red", "an array or None, got str"),
+    ],
+)
+def test_frame_refuses_values_of_another_type(field: str, value: Any, complaint: str) -> None:
+    with pytest.raises(ValueError, match=rf"a\.png: Frame\.{field}: expected {complaint}"):
+        Frame(np.zeros((3, 5), np.uint8), 0, **({"path": "a.png", field: value}))
+
+
+def test_a_masked_image_becomes_a_plain_one() -> None:
+    image = np.arange(15, dtype=np.uint8).reshape(3, 5)
+    frame = Frame(np.ma.masked_array(image, mask=image > 7), 0)
+    assert type(frame.image) is np.ndarray
+    np.testing.assert_array_equal(frame.image, image)
+
+
+def test_frame_keeps_plain_numbers() -> None:
     assert type(Frame(np.zeros((3, 5), np.uint8), timestamp_ns=np.uint64(7)).timestamp_ns) is int  # type: ignore[arg-type]
 
 
@@ -71,8 +98,8 @@ def test_frame_is_read_only_but_its_owner_is_not(dtype: type) -> None:
 @pytest.mark.parametrize(
     ("boxes", "complaint"),
     [
-        (np.zeros((3,), np.int32), r"expected shape \(N, 4\), got \(3,\)"),
-        (np.zeros((1, 4)), "expected int32, got float64"),
+        (np.zeros((3,), np.int32), r"expected int32 of shape \(N, 4\), got int32 of shape \(3,\)"),
+        (np.zeros((1, 4)), r"expected int32 of shape \(N, 4\), got float64 of shape \(1, 4\)"),
         (np.array([[0, 0, 1, 1], [4, 0, 4, 9]], np.int32), r"box 1 is \[4, 0, 4, 9\], expected x1 < x2"),
     ],
 )
@@ -249,10 +276,18 @@ def test_tracks_say_which_are_plausible() -> None:
         ({"sigmas_m": np.array([1.0, np.nan])}, "Tracks.sigmas_m: expected numbers of at least 0"),
         ({"states": np.array([1, 99])}, "Tracks.states: expected numbers from 0 to 2"),
         ({"confidences": np.array([0.5, np.nan])}, "Tracks.confidences: expected numbers from 0 to 1"),
-        ({"ages_s": np.array([np.inf, 1.0])}, "Tracks.ages_s: expected finite numbers"),
+        ({"ages_s": np.array([np.inf, 1.0])}, "Tracks.ages_s: expected numbers from 0 to 1e"),
+        ({"ages_s": np.array([0.0, -1.0])}, "Tracks.ages_s: expected numbers from 0 to 1e"),
+        ({"num_hits": np.array([0, 1])}, "Tracks.num_hits: expected numbers from 1 to inf"),
+        ({"num_misses": np.array([0, -1])}, "Tracks.num_misses: expected numbers from 0 to inf"),
+        ({"detections": np.array([0, -2])}, "Tracks.detections: expected numbers from -1 to inf"),
+        ({"ids": [3, 7]}, r"Tracks.ids: expected int64 of shape \(N,\), got list"),
+        ({"ids": np.array(3)}, r"Tracks.ids: expected int64 of shape \(N,\), got int64 of shape \(\)"),
+        ({"confidences": None}, r"Tracks.confidences: expected float64 of shape \(2,\), got NoneType"),
+        ({"vehicles": "two"}, "Tracks.vehicles: expected Vehicles or None, got str"),
     ],
 )
-def test_tracks_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:
+def test_tracks_refuse_unfit_fields(changed: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         tracks(**changed)
 
@@ -275,12 +310,14 @@ def vehicles(**changed: NDArray[Any]) -> Vehicles:
         ({"ids": np.array([5, 2])}, r"Vehicles.ids: expected ascending numbers, got \[5, 2\]"),
         ({"states": np.zeros(2)}, "Vehicles.states: expected int64"),
         ({"is_in_sight": np.zeros(3, np.bool_)}, r"Vehicles.is_in_sight: .* got bool of shape \(3,\)"),
+        ({"confidences": np.array([0.5, 1.5])}, "Vehicles.confidences: expected numbers from 0 to 1"),
+        ({"of_tracks": [5, 2]}, r"Vehicles.of_tracks: expected int64 of shape \(N,\), got list"),
         ({"of_tracks": np.array([5, 3])}, r"Vehicles.of_tracks: expected ids of vehicles, got \[5, 3\]"),
         ({"leading": np.array([0, 1])}, r"Vehicles.leading: expected a track of each vehicle, got \[0, 1\]"),
         ({"leading": np.array([1, 2])}, r"Vehicles.leading: expected a track of each vehicle, got \[1, 2\]"),
     ],
 )
-def test_vehicles_refuse_unfit_fields(changed: dict[str, NDArray[Any]], complaint: str) -> None:
+def test_vehicles_refuse_unfit_fields(changed: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         vehicles(**changed)
 

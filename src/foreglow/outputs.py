@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from foreglow.whole_files import PARTIAL, partial_path
+
 RESULT_NAMES = (
     "frames.jsonl",
     "times.jsonl",
@@ -304,7 +306,7 @@ def _is_foreign(folder: Path) -> bool:
     """Whether a folder holds something, and that is not what a command has written."""
     if not folder.is_dir():
         return False
-    names = {path.name.removesuffix(".partial") for path in folder.iterdir() if not path.name.startswith(".")}
+    names = {path.name.removesuffix(PARTIAL) for path in folder.iterdir() if not path.name.startswith(".")}
     return bool(names) and names.isdisjoint(RESULT_FILES)
 
 
@@ -380,8 +382,3 @@ def _has_earlier(folder: Path, mark: str) -> bool:
     is_begun = any(partial_path(folder / name).exists() for name in RESULT_NAMES)
     has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in KINDS[RUN].begun)
     return is_begun or has_results or _has_report(folder)
-
-
-def partial_path(path: Path) -> Path:
-    """Where a file is written until it is whole."""
-    return path.with_name(f"{path.name}.partial")

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, preset
 from foreglow.plugins import METHODS, built, check_methods, checked, name_of
 from foreglow.stopwatch import Stopwatch
-from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks
+from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
 
 if TYPE_CHECKING:
     from foreglow.beam import BeamPolicy, BeamStage
@@ -48,7 +49,9 @@ def tracked(tracker: Tracker, frame: Frame, detections: Detections, ranges: Rang
     tracks = checked("tracker.method", tracker.update(frame, detections, ranges), Tracks)
     if len(tracks) > MAX_TRACKS:
         raise ValueError(f"tracker.method: expected at most {MAX_TRACKS} tracks of a frame, got {len(tracks)}")
-    return tracks
+    if tracks.vehicles is None:
+        return tracks
+    return dataclasses.replace(tracks, vehicles=checked("tracker.method", tracks.vehicles, Vehicles))
 
 
 class Stages:
@@ -151,7 +154,8 @@ class Pipeline:
 
     The same object serves a data set, a recording, the simulator and the car: it knows nothing of where frames come
     from. Results depend on the frames alone; `FrameResult.stage_ms` is the only thing that a clock touches.
-    Not thread-safe: use one pipeline a thread.
+    Not thread-safe: use one pipeline a thread. It cannot be copied or pickled, as its stages remember frames: make one
+    of its `config` where you need another.
     """
 
     def __init__(
@@ -268,6 +272,9 @@ class Pipeline:
         """
         with self._alone("reset"):
             self._sequence = None
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("Pipeline: cannot be copied or pickled; make one of its config, such as in each process")
 
     @contextlib.contextmanager
     def _alone(self, method: str) -> Iterator[None]:

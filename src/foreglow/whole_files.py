@@ -16,6 +16,12 @@ from typing import BinaryIO
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
 
+PARTIAL = ".partial"
+"""How the name of a file ends until it is whole, if it is written over a longer time; so it is found after a kill."""
+
+_OWN_FOLDER = re.compile(r"(\..+|parts-[0-9a-f]{32})\.partial", re.DOTALL)
+"""Name of a folder of ours while what is to be elsewhere later is written into it."""
+
 MAX_LOCKS = 256
 """Files of a block of `together` that stay locked until its end; more would use up the descriptors of a process."""
 
@@ -241,3 +247,25 @@ def naming(path: Path, *, in_place_of: Path | None = None) -> Iterator[None]:
         if error.errno is None or error.filename not in (None, in_place_of and str(in_place_of)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def partial_path(path: Path) -> Path:
+    """Where a file of a run, or a recording, is written until it is whole."""
+    return path.with_name(f"{path.name}{PARTIAL}")
+
+
+def output_words(error: OSError) -> str:
+    """What an error about a file says, with the name that the file gets when it is whole, or that of its folder.
+
+    >>> output_words(OSError(28, "No space left on device", "out/frames.jsonl.partial"))
+    'out/frames.jsonl: No space left on device'
+    >>> output_words(OSError(28, "No space left on device", "DATA/night/train/simulation/.S00001.partial/road.json"))
+    'DATA/night/train/simulation: No space left on device'
+    """
+    path = Path(os.fsdecode(error.filename))
+    hidden = [parent for parent in path.parents if _OWN_FOLDER.fullmatch(parent.name)]
+    if hidden:
+        path = hidden[-1].parent
+    elif path.name.endswith(PARTIAL) and path.name != PARTIAL:
+        path = path.with_name(path.name.removesuffix(PARTIAL))
+    return f"{path}: {error.strerror}"

@@ -37,7 +37,7 @@ quick = settings(derandomize=True, max_examples=60, deadline=None)
 
 
 def command_of(*gaps_deg: tuple[float, float], ranges_m: tuple[float, ...] = (), level: float = 0.5) -> BeamCommand:
-    ranges = np.array(ranges_m) if ranges_m else np.full(len(gaps_deg), np.nan)
+    ranges = np.array(ranges_m, np.float64) if ranges_m else np.full(len(gaps_deg), np.nan)
     gaps_rad = np.radians(np.array(gaps_deg, np.float64).reshape(-1, 2))
     return BeamCommand(1_234_567_890, BeamMode.GLARE_FREE, np.full((2, NUM_LEDS), level), gaps_rad, ranges)
 

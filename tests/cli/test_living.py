@@ -236,10 +236,7 @@ def test_results_until_the_disk_is_full_can_be_read(tmp_path: Path) -> None:
     with files_of_at_most(2 * ROOM_BYTES):
         result = foreglow_command("live", shipped_drive(), "--speed", 0, "--out", out)
     assert result.exit_code == 2, result.output
-    last = result.stderr.splitlines()[-1]
-    assert last.startswith("foreglow: not recorded: ")
-    assert "File too large" in last
-    assert str(out / "frames.jsonl") in last
+    assert result.stderr.splitlines()[-1] == f"foreglow: not recorded: {out / 'frames.jsonl'}: File too large"
     assert "could not keep up" not in result.stdout
     assert names(out) == RESULTS
     assert 2 * ROOM_BYTES - 10_000 < (out / "frames.jsonl").stat().st_size < 2 * ROOM_BYTES
@@ -254,6 +251,19 @@ def test_results_until_the_disk_is_full_can_be_read(tmp_path: Path) -> None:
     assert foreglow_command("beam", out, "--out", beam).exit_code == 0
     assert num_lines(beam) == num_frames
     assert not read_summary(beam / "summary.json").is_complete
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.process)])
+def test_a_full_disk_of_a_run_names_the_output(jobs: int, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with files_of_at_most(50_000):
+        result = foreglow_command("run", shipped_drive(), "--out", out, "--jobs", jobs)
+    assert result.exit_code == 2, result.output
+    assert result.stderr.splitlines()[-1] in (
+        f"foreglow: {out / 'frames.jsonl'}: File too large",
+        f"foreglow: {out}: File too large",
+    )
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("command", ["live", "run"])

@@ -161,6 +161,24 @@ def test_a_drive_that_leaves_the_map_is_told_before_anything_is_made(tmp_path: P
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "said"),
+    [
+        ("timetable = [[0.0, 900.0]]", "0 to 400 m, at some time of the drive, got 900 to 900 m"),
+        ('lane = "branch"\ntimetable = [[0.0, 80.0]]', "0 to 50 m, at some time of the drive, got 80 to 80 m"),
+    ],
+)
+def test_a_vehicle_that_is_never_on_its_road(vehicle: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        f"[road]\nlength_m = 400.0\nbranches = [{{ s_m = 100.0, angle_deg = 90.0, length_m = 50.0 }}]\n"
+        f"[[vehicles]]\n[[vehicles]]\n{vehicle}\n"
+    )
+    for command in (("simulate", "--scene", file, "--out", tmp_path / "out"), ("live", f"simulate:{file}")):
+        assert f"{file}: vehicles.1.timetable: expected arc lengths on its road, {said}" in complaint(*command)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+
+
 def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(foreglow("simulate", "--print", "crest", "--seed", 5).stdout)

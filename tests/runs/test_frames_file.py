@@ -364,3 +364,34 @@ def test_which_files_have_tracks(tmp_path: Path) -> None:
     assert not has_tracks(tmp_path / "absent.jsonl")
     (tmp_path / "empty.jsonl").write_text("")
     assert not has_tracks(tmp_path / "empty.jsonl")
+
+
+@pytest.mark.parametrize(
+    "gaps_rad",
+    [[[-0.1, 0.05], [0.05 + 1e-7, 0.2]], [[0.05, 0.05 + 1e-7]], [[-0.2, -0.1], [-0.1 + 1e-12, -0.1 + 1e-9]]],
+)
+def test_gaps_that_rounding_would_join_can_be_read(gaps_rad: list[list[float]], tmp_path: Path) -> None:
+    frame, gaps = night_frames(1)[0], np.array(gaps_rad)
+    command = BeamCommand(frame.timestamp_ns, BeamMode.GLARE_FREE, np.ones((2, 4)), gaps, np.full(len(gaps), np.nan))
+    sink = LineSink(tmp_path / "frames.jsonl", frame_to_line)
+    sink.write(frame, dataclasses.replace(result_of(frame, [[3, 4, 9, 8]], [0.5]), beam=command))
+    sink.close()
+    np.testing.assert_allclose(read_gaps(tmp_path / "frames.jsonl")[frame.frame], gaps, atol=1e-12)
+    line = FrameLineModel.model_validate_json((tmp_path / "frames.jsonl").read_bytes()).root
+    assert line_to_result(line, 0.5).beam is not None
+
+
+def test_what_is_smaller_than_its_rounding_can_be_read(tmp_path: Path) -> None:
+    small = tracks_of([[3.0, 4.0, 3.0001, 8.0]], ranges_m=[1e-4])
+    small = dataclasses.replace(small, sigmas_m=np.array([0.0]))
+    frame = night_frames(1)[0]
+    result = dataclasses.replace(result_of(frame, [[3, 4, 9, 8]], [0.5]), tracks=small)
+    assert result.detections is not None
+    result = dataclasses.replace(result, ranges=Ranges(result.detections, np.array([1e-4]), np.array([1e-5])))
+    (tmp_path / "frames.jsonl").write_text(json.dumps(frame_to_line(frame, result)) + "\n")
+    found = read_results(tmp_path / "frames.jsonl", 0.5)[frame.frame]
+    assert found.tracks is not None
+    assert found.ranges is not None
+    assert found.tracks.boxes_xyxy_px.tolist() == [[3.0, 4.0, 3.0001, 8.0]]
+    assert (found.tracks.ranges_m.item(), found.tracks.sigmas_m.item()) == (1e-4, 0.0)
+    assert (found.ranges.ranges_m.item(), found.ranges.sigmas_m.item()) == (1e-4, 1e-5)

@@ -14,6 +14,9 @@ from foreglow.photometry import read_headlamps
 from foreglow.plugins import built, checked
 from foreglow.types import BeamCommand, Frame, Tracks
 
+MAX_GAPS = 2000
+"""Gaps of a frame: one for each track that it may have."""
+
 
 class BeamStage:
     """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it."""
@@ -60,9 +63,11 @@ class BeamStage:
             faults: As `pipeline_faults` of `Guard.check`.
 
         Raises:
-            ValueError: If a plug-in returns something that is no command.
+            ValueError: If a plug-in returns something that is no command, or more than `MAX_GAPS`.
         """
         wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
+        if len(wanted.gaps_rad) > MAX_GAPS:
+            raise ValueError(f"beam.policy: expected at most {MAX_GAPS} gaps of a frame, got {len(wanted.gaps_rad)}")
         if self._lit_street.update(frame):
             faults = (*faults, ROAD_LIT)
         passed = self._guard.check(

@@ -27,6 +27,7 @@ from typer.core import TyperGroup
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
 from foreglow.plugins import first_line_of, raising, words_of
+from foreglow.whole_files import output_words
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -219,7 +220,8 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     if closed is not None:
         return shortened(f"{closed}: expected a folder that may be entered, the right to (x) is missing"), 2
     if isinstance(error, OSError) and error.filename is not None:
-        return shortened(f"{error.filename}: {error.strerror}"), 2
+        is_read = Path(os.fsdecode(error.filename)) in inputs
+        return shortened(f"{error.filename}: {error.strerror}" if is_read else output_words(error)), 2
     if isinstance(error, OSError) and _is_printing(error):
         return shortened(f"standard output: {error.strerror or words_of(error)}"), 2
     if isinstance(error, UnicodeEncodeError):

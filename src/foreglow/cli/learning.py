@@ -176,7 +176,7 @@ def train(
         str | None,
         option(
             "NAME",
-            "How to train, and which network: paper, compact, related or foreglow (default: foreglow, or as with --from).",
+            "How to train: paper, compact, related or foreglow (default: foreglow, or as with --from).",
         ),
     ] = None,
     recipe_file: Annotated[Path | None, file("TOML file whose fields override the recipe.")] = None,

@@ -140,13 +140,9 @@ def _check_quality(quality: str) -> None:
 
 
 def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
-    from foreglow.lab.simulation import read_scene
-    from foreglow.lab.simulation.writing.street_data import check_ego_on_map
+    from foreglow.lab.simulation.drivable import read_drivable
 
-    scenes = tuple(read_scene(file) for file in files or ())
-    for file_, scene in zip(files or (), scenes, strict=True):
-        check_ego_on_map(scene, str(file_))
-    return scenes
+    return tuple(read_drivable(file) for file in files or ())
 
 
 def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) -> tuple[Scene, ...]:

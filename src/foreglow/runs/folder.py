@@ -12,12 +12,12 @@ from types import TracebackType
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import json_text
 from foreglow.folder_lock import FolderLock
-from foreglow.outputs import RESULT_NAMES, RUN, check_own, check_replaceable, partial_path
+from foreglow.outputs import RESULT_NAMES, RUN, check_own, check_replaceable
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary_file import LiveSummary, RunSummary
 from foreglow.runs.times_file import frame_to_times
-from foreglow.whole_files import naming
+from foreglow.whole_files import naming, partial_path
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
 """The files that get a line for every frame, with the functions that make the line."""

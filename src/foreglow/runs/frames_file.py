@@ -7,6 +7,7 @@ another way (`2e-5` instead of `2e-05`): the same run has to give the same bytes
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -52,7 +53,8 @@ Thousandths: TypeAlias = Annotated[int, Field(ge=0, le=1000)]
 class TrackEntry(TypedDict):
     """A track in a line, with the fields of `Tracks`.
 
-    The box is rounded to 0.001 pixels, the age to a microsecond, range and sigma to a millimetre. Range, sigma and the
+    The box is rounded to 0.001 pixels, the age to a microsecond, range and sigma to a millimetre, unless that would
+    leave nothing of it. Range, sigma and the
     probability `direct` of a lamp itself are None where unknown. `detection` is an index among the proposals, or -1.
     `light_kinds` is left out where `direct` says all that is known of the kinds.
     """
@@ -65,7 +67,7 @@ class TrackEntry(TypedDict):
     num_misses: Count
     age_s: Annotated[float, Field(ge=0)]
     range_m: float | None
-    range_sigma_m: Annotated[float, Field(gt=0)] | None
+    range_sigma_m: Annotated[float, Field(ge=0)] | None
     detection: Annotated[Whole, Field(ge=-1)]
     direct: NotRequired[Probability | None]
     light_kinds: NotRequired[LightKinds | None]
@@ -85,7 +87,9 @@ class VehicleEntry(TypedDict):
 
 @checked
 class GapEntry(TypedDict):
-    """A dark gap of a beam: azimuths to 0.001 degrees, range to a millimetre or None, otherwise as in `BeamCommand`."""
+    """A dark gap of a beam: azimuths to 0.001 degrees, or in full where gaps would touch; range to a millimetre or
+    None; otherwise as in `BeamCommand`.
+    """
 
     right_deg: float
     left_deg: float
@@ -221,7 +225,7 @@ def _track_entries(tracks: Tracks) -> list[TrackEntry]:
         {
             "id": number,
             "state": _STATE_NAMES[state],
-            "box_xyxy_px": [round(edge, 3) for edge in box],
+            "box_xyxy_px": _to_thousandths(box),
             "confidence": confidence,
             "num_hits": num_hits,
             "num_misses": num_misses,
@@ -306,11 +310,15 @@ def _tracks(entries: list[TrackEntry], vehicles: list[VehicleEntry] | None) -> T
 def beam_entry(command: BeamCommand) -> BeamEntry:
     """The beam command as a line has it."""
     ranges_m = _to_millimetres(command.gap_ranges_m)
+    borders_deg: list[float] = np.degrees(command.gaps_rad).ravel().tolist()
+    rounded_deg = [round(border, 3) for border in borders_deg]
+    if any(right >= left for right, left in itertools.pairwise(rounded_deg)):  # gaps that would touch are none
+        rounded_deg = borders_deg
     return {
         "mode": _MODE_NAMES[command.mode],
         "gaps": [
-            {"right_deg": round(right, 3), "left_deg": round(left, 3), "range_m": range_m}
-            for (right, left), range_m in zip(np.degrees(command.gaps_rad).tolist(), ranges_m, strict=True)
+            {"right_deg": right, "left_deg": left, "range_m": range_m}
+            for right, left, range_m in zip(rounded_deg[::2], rounded_deg[1::2], ranges_m, strict=True)
         ],
         "faults": list(command.faults),
         "levels": np.rint(1000.0 * command.levels).astype(int).tolist(),
@@ -351,8 +359,14 @@ def _light_kinds(
 
 
 def _to_millimetres(values_m: NDArray[np.float64]) -> list[float | None]:
-    """Rounded; None for NaN and infinity, which JSON does not have."""
-    return [round(value, 3) if math.isfinite(value) else None for value in values_m.tolist()]
+    """Rounded, but not to 0; None for NaN and infinity, which JSON does not have."""
+    return [round(value, 3) or value if math.isfinite(value) else None for value in values_m.tolist()]
+
+
+def _to_thousandths(box: list[float]) -> Box:
+    """The edges rounded, unless nothing would be left between them."""
+    x1, y1, x2, y2 = rounded = [round(edge, 3) for edge in box]
+    return rounded if x1 < x2 and y1 < y2 else box
 
 
 def _numbers(values: list[float | None], unknown: float = math.nan) -> Floats:

@@ -225,7 +225,7 @@ class PublishedTracker(Tracker):
             confidences=np.array([obj.score for obj in objects], np.float64),
             num_hits=np.array([obj.num_hits for obj in objects], np.int64),
             num_misses=np.array([obj.num_lost for obj in objects], np.int64),
-            ages_s=np.array([now_s - obj.birth_s for obj in objects], np.float64),
+            ages_s=np.array([max(0.0, now_s - obj.birth_s) for obj in objects], np.float64),
             ranges_m=ranges_m,
             sigmas_m=np.full(len(objects), np.inf),
             detections=np.array([obj.detection for obj in objects], np.int64),

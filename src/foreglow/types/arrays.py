@@ -37,7 +37,36 @@ def _plain(value: Any) -> Any:
 
 
 def frozen_view(array: NDArray[Any]) -> NDArray[Any]:
-    """A read-only view of `array`; the owner's own flag stays as it is."""
-    view = array.view()
+    """A read-only view of `array`, a plain one also of a masked array; the owner's own flag stays."""
+    view = array.view(np.ndarray)
     view.flags.writeable = False
     return view
+
+
+def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[int | None, ...]) -> NDArray[Any]:
+    """A read-only view of `array`.
+
+    Args:
+        field: Its name, for the message.
+        array: Anything, such as what a plug-in made.
+        dtype: What it has to be of.
+        shape: Its shape; None for an axis of any length.
+
+    Raises:
+        ValueError: If it is no array of that shape and type.
+
+    >>> checked_array("Tracks.ids", [1, 2], np.dtype(np.int64), (None,))
+    Traceback (most recent call last):
+    ValueError: Tracks.ids: expected int64 of shape (N,), got list
+    """
+    if isinstance(array, np.ndarray) and array.dtype == dtype:
+        is_fit = array.shape == shape
+        if is_fit or (None in shape and len(shape) == array.ndim and _fits(array.shape, shape)):
+            return frozen_view(array)
+    got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+    wanted = str(tuple(shape)).replace("None", "N")
+    raise ValueError(f"{field}: expected {dtype.name} of shape {wanted}, got {got}")
+
+
+def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return all(axis is None or axis == length for length, axis in zip(shape, wanted, strict=True))

@@ -8,7 +8,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Value, frozen_view
+from foreglow.types.arrays import Value, checked_array
+
+_FLOAT64 = np.dtype(np.float64)
 
 
 class BeamMode(IntEnum):
@@ -50,24 +52,20 @@ class BeamCommand(Value):
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        levels, gaps, ranges_m = self.levels, self.gaps_rad, self.gap_ranges_m
-        if levels.ndim != 2 or levels.shape[0] != 2 or levels.shape[1] == 0 or levels.dtype != np.float64:
-            raise ValueError(
-                f"BeamCommand.levels: expected float64 of shape (2, L), got {levels.dtype} of shape {levels.shape}"
-            )
+        levels = checked_array("BeamCommand.levels", self.levels, _FLOAT64, (2, None))
+        gaps = checked_array("BeamCommand.gaps_rad", self.gaps_rad, _FLOAT64, (None, 2))
+        ranges_m = checked_array("BeamCommand.gap_ranges_m", self.gap_ranges_m, _FLOAT64, (len(gaps),))
+        if not levels.size:
+            raise ValueError("BeamCommand.levels: expected at least one LED, got none")
         if not (np.minimum.reduce(levels, axis=None) >= 0.0 and np.maximum.reduce(levels, axis=None) <= 1.0):
             raise ValueError("BeamCommand.levels: expected values in [0, 1], got NaN or a value outside")
-        if gaps.ndim != 2 or gaps.shape[1] != 2 or ranges_m.shape != (len(gaps),):
-            raise ValueError(
-                f"BeamCommand.gaps_rad: expected shape (G, 2) and G ranges, got {gaps.shape} and {ranges_m.shape}"
-            )
         borders = gaps.ravel()
         if not (borders[1:] > borders[:-1]).all() or not np.isfinite(gaps).all():
             raise ValueError(f"BeamCommand.gaps_rad: expected borders in order and apart, got {gaps.tolist()}")
         if self.mode == BeamMode.LOW and (len(gaps) or levels.any()):
             raise ValueError("BeamCommand.levels: expected 0 everywhere, and no gaps, with low beam")
-        for name in ("levels", "gaps_rad", "gap_ranges_m"):
-            object.__setattr__(self, name, frozen_view(getattr(self, name)))
+        for name, array in (("levels", levels), ("gaps_rad", gaps), ("gap_ranges_m", ranges_m)):
+            object.__setattr__(self, name, array)
 
     @classmethod
     def low(cls, timestamp_ns: int, num_leds: int, *faults: str) -> BeamCommand:

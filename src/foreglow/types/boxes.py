@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Boxes, Value, frozen_view
+from foreglow.types.arrays import Boxes, Value, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
+
+_INT32, _FLOAT32, _FLOAT64 = np.dtype(np.int32), np.dtype(np.float32), np.dtype(np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,18 +27,14 @@ class Proposals(Value):
     boxes_xyxy_px: Boxes
 
     def __post_init__(self) -> None:
-        boxes = self.boxes_xyxy_px
-        if boxes.ndim != 2 or boxes.shape[1] != 4:
-            raise ValueError(f"Proposals.boxes_xyxy_px: expected shape (N, 4), got {boxes.shape}")
-        if boxes.dtype != np.int32:
-            raise ValueError(f"Proposals.boxes_xyxy_px: expected int32, got {boxes.dtype}")
+        boxes = checked_array("Proposals.boxes_xyxy_px", self.boxes_xyxy_px, _INT32, (None, 4))
         is_ordered = boxes[:, :2] < boxes[:, 2:]
         if not np.logical_and.reduce(is_ordered, axis=None):
             bad = int(np.flatnonzero(~is_ordered.all(axis=1))[0])
             raise ValueError(
                 f"Proposals.boxes_xyxy_px: box {bad} is {boxes[bad].tolist()}, expected x1 < x2 and y1 < y2"
             )
-        object.__setattr__(self, "boxes_xyxy_px", frozen_view(boxes))
+        object.__setattr__(self, "boxes_xyxy_px", boxes)
 
     def __len__(self) -> int:
         return len(self.boxes_xyxy_px)
@@ -63,15 +61,12 @@ class Detections(Value):
     light_kinds: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, len(LIGHT_KINDS)), np.float32))
 
     def __post_init__(self) -> None:
-        scores, count = self.scores, len(self.proposals)
-        if scores.shape != (count,) or scores.dtype != np.float32:
-            raise ValueError(
-                f"Detections.scores: expected float32 of shape ({count},), got {scores.dtype} of shape {scores.shape}"
-            )
+        count = len(self.proposals)
+        scores = checked_array("Detections.scores", self.scores, _FLOAT32, (count,))
         if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
         light_kinds = checked_kinds("Detections.light_kinds", self.light_kinds, count, np.float32)
-        object.__setattr__(self, "scores", frozen_view(scores))
+        object.__setattr__(self, "scores", scores)
         object.__setattr__(self, "light_kinds", light_kinds)
 
     def __len__(self) -> int:
@@ -130,18 +125,12 @@ class Ranges(Value):
     def __post_init__(self) -> None:
         count = len(self.detections)
         for name in ("ranges_m", "sigmas_m"):
-            array = getattr(self, name)
-            if array.shape != (count,) or array.dtype != np.float64:
-                raise ValueError(
-                    f"Ranges.{name}: expected float64 of shape ({count},), got {array.dtype} of shape {array.shape}"
-                )
+            object.__setattr__(self, name, checked_array(f"Ranges.{name}", getattr(self, name), _FLOAT64, (count,)))
         is_unknown = np.isnan(self.ranges_m)
         if (self.ranges_m <= 0).any() or np.isinf(self.ranges_m).any():
             raise ValueError("Ranges.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
         if not (self.sigmas_m > 0).all() or np.isfinite(self.sigmas_m[is_unknown]).any():
             raise ValueError("Ranges.sigmas_m: expected positive numbers, and infinity beside a range that is NaN")
-        for name in ("ranges_m", "sigmas_m"):
-            object.__setattr__(self, name, frozen_view(getattr(self, name)))
 
     def __len__(self) -> int:
         return len(self.detections)

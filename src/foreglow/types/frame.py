@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
+from types import MappingProxyType, NoneType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,8 +142,8 @@ class Frame(Value):
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the camera is for
-            images of another size, the time is no whole number of 64 bits, the earlier image is not earlier, or the
-            chroma has another shape or type.
+            images of another size, the number or the time is no whole number of 64 bits, another field is of a wrong
+            type, the earlier image is not earlier, or the chroma has another shape or type.
     """
 
     image: Image
@@ -171,6 +173,13 @@ class Frame(Value):
             )
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
+        for name, (kinds, wanted) in _KINDS.items():
+            value = getattr(self, name)
+            if not isinstance(value, kinds):
+                raise ValueError(f"{origin}Frame.{name}: expected {wanted}, got {type(value).__name__}")
+        if not -(2**63) <= self.frame < 2**63:
+            raise ValueError(f"{origin}Frame.frame: expected a whole number of 64 bits, got {self.frame!r:.40}")
+        object.__setattr__(self, "frame", int(self.frame))
         if not isinstance(self.camera, Camera | None):
             raise ValueError(
                 f"{origin}Frame.camera: expected a Camera, such as of foreglow.calibration.read_calibration(path), "
@@ -209,6 +218,21 @@ class Frame(Value):
     def height_px(self) -> int:
         """Number of rows."""
         return int(self.image.shape[0])
+
+
+_KINDS: Mapping[str, tuple[tuple[type, ...], str]] = MappingProxyType(
+    {
+        "frame": ((int, np.integer), "a whole number"),
+        "sequence": ((str,), "a name"),
+        "motion": ((EgoMotion, NoneType), "an EgoMotion or None"),
+        "road": ((RoadAhead, NoneType), "a RoadAhead or None"),
+        "is_damaged": ((bool, np.bool_), "True or False"),
+        "is_reported": ((bool, np.bool_, NoneType), "True, False or None"),
+        "earlier": ((Frame, NoneType), "a Frame or None"),
+        "red_chroma": ((np.ndarray, NoneType), "an array or None"),
+    }
+)
+"""What the value of a field is."""
 
 
 def _remedy(image: object) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import frozen_view
+from foreglow.types.arrays import checked_array
 
 KINDS = ("front_lamp", "rear_lamp", "front_light", "rear_light", "none")
 """A front lamp in sight, a rear lamp in sight, light of a front lamp on something, light of a rear lamp on something,
@@ -92,17 +92,13 @@ def checked_kinds(field: str, light_kinds: NDArray[Any], count: int, dtype: type
         ValueError: If it is not of shape (count, 4) and `dtype`, or a row is neither NaN nor probabilities with the sum
             1; the message names the `field`.
     """
-    if not len(light_kinds):
+    if not np.size(light_kinds):
         light_kinds = np.full((count, len(LIGHT_KINDS)), np.nan, dtype)
-    if light_kinds.shape != (count, len(LIGHT_KINDS)) or light_kinds.dtype != dtype:
-        raise ValueError(
-            f"{field}: expected {np.dtype(dtype).name} of shape ({count}, {len(LIGHT_KINDS)}), got "
-            f"{light_kinds.dtype} of shape {light_kinds.shape}"
-        )
+    light_kinds = checked_array(field, light_kinds, np.dtype(dtype), (count, len(LIGHT_KINDS)))
     is_fit = (light_kinds.min(axis=1) >= 0) & (np.abs(light_kinds.sum(axis=1) - 1) <= _TOLERANCE)
     if not is_fit.all():
         is_fit |= np.isnan(light_kinds).all(axis=1)
     if not is_fit.all():
         row = light_kinds[~is_fit][0].tolist()
         raise ValueError(f"{field}: expected NaN or probabilities with the sum 1 in each row, got {row}")
-    return frozen_view(light_kinds)
+    return light_kinds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -10,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Value, frozen_view
+from foreglow.types.arrays import Value, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 from foreglow.types.vehicles import Vehicles
 
@@ -37,7 +38,7 @@ class Tracks(Value):
         confidences: Shape (M,), float64 in [0, 1], the filtered score.
         num_hits: Shape (M,), int64, number of detections so far, at least 1.
         num_misses: Shape (M,), int64, frames in a row without a detection, up to this frame.
-        ages_s: Shape (M,), float64, time since its first detection.
+        ages_s: Shape (M,), float64, time since its first detection, not negative.
         ranges_m: Shape (M,), float64, filtered, from the camera along the viewing ray, positive; NaN where unknown.
         sigmas_m: Shape (M,), float64, standard deviation of the range, not negative; infinite where unknown.
         detections: Shape (M,), int64, index of the box in this frame's `Detections`; -1 without one.
@@ -65,17 +66,14 @@ class Tracks(Value):
     vehicles: Vehicles | None = None
 
     def __post_init__(self) -> None:
-        count = len(self.ids)
+        count = len(checked_array("Tracks.ids", self.ids, _TRACK_DTYPES["ids"], (None,)))
         for name, dtype in _TRACK_DTYPES.items():
-            array = getattr(self, name)
             shape = (count, 4) if name == "boxes_xyxy_px" else (count,)
-            if array.shape != shape or array.dtype != dtype:
-                raise ValueError(
-                    f"Tracks.{name}: expected {dtype.name} of shape {shape}, got {array.dtype} of shape {array.shape}"
-                )
-            object.__setattr__(self, name, frozen_view(array))
+            object.__setattr__(self, name, checked_array(f"Tracks.{name}", getattr(self, name), dtype, shape))
         light_kinds = checked_kinds("Tracks.light_kinds", self.light_kinds, count, np.float64)
         object.__setattr__(self, "light_kinds", light_kinds)
+        if not isinstance(self.vehicles, Vehicles | None):
+            raise ValueError(f"Tracks.vehicles: expected Vehicles or None, got {type(self.vehicles).__name__}")
         if self.vehicles is not None and len(self.vehicles.of_tracks) != count:
             raise ValueError(f"Tracks.vehicles: expected those of {count} tracks, got {len(self.vehicles.of_tracks)}")
         boxes = self.boxes_xyxy_px
@@ -87,8 +85,6 @@ class Tracks(Value):
             raise ValueError("Tracks.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
         if not (self.sigmas_m >= 0).all():
             raise ValueError("Tracks.sigmas_m: expected numbers of at least 0, got NaN or a negative")
-        if not np.isfinite(self.ages_s).all():
-            raise ValueError(f"Tracks.ages_s: expected finite numbers, got {self.ages_s.tolist()}")
         for name, least, most in _LIMITS:
             values = getattr(self, name)
             if count and not (values.min() >= least and values.max() <= most):
@@ -134,9 +130,16 @@ _TRACK_DTYPES: Mapping[str, np.dtype[np.generic]] = MappingProxyType(
 MAX_PX = 1e6
 """Largest coordinate of a box in pixels, either way; beyond 2^31 nothing could be drawn."""
 
+MAX_AGE_S = 1e10
+"""More than the seconds that a time of 64 bits in nanoseconds holds."""
+
 _LIMITS = (
     ("boxes_xyxy_px", -MAX_PX, MAX_PX),
     ("states", min(TrackState), max(TrackState)),
     ("confidences", 0.0, 1.0),
+    ("num_hits", 1, math.inf),
+    ("num_misses", 0, math.inf),
+    ("ages_s", 0.0, MAX_AGE_S),
+    ("detections", -1, math.inf),
 )
 """Least and greatest values, by field."""

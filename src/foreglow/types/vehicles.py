@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Value, frozen_view
+from foreglow.types.arrays import Value, checked_array
 
 _DTYPES = {
     "ids": np.dtype(np.int64),
@@ -33,7 +33,8 @@ class Vehicles(Value):
             of its farthest light, which is the nearest to it on its road. Its range and bearing are the vehicle's.
 
     Raises:
-        ValueError: If a shape or a dtype is wrong, ids do not ascend, or a track's vehicle is none of them.
+        ValueError: If a shape or a dtype is wrong, ids do not ascend, a confidence is outside [0, 1], or a track's
+            vehicle is none of them.
     """
 
     ids: NDArray[np.int64]
@@ -44,23 +45,20 @@ class Vehicles(Value):
     leading: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        count = len(self.ids)
+        count = len(checked_array("Vehicles.ids", self.ids, _DTYPES["ids"], (None,)))
         for name, dtype in _DTYPES.items():
-            array = getattr(self, name)
-            if array.shape != (count,) or array.dtype != dtype:
-                raise ValueError(
-                    f"Vehicles.{name}: expected {dtype.name} of shape {(count,)}, "
-                    f"got {array.dtype} of shape {array.shape}"
-                )
-            object.__setattr__(self, name, frozen_view(array))
+            object.__setattr__(self, name, checked_array(f"Vehicles.{name}", getattr(self, name), dtype, (count,)))
+        of_tracks = checked_array("Vehicles.of_tracks", self.of_tracks, _DTYPES["ids"], (None,))
+        object.__setattr__(self, "of_tracks", of_tracks)
         if not (self.ids[1:] > self.ids[:-1]).all():
             raise ValueError(f"Vehicles.ids: expected ascending numbers, got {self.ids.tolist()}")
-        if self.of_tracks.ndim != 1 or not set(self.of_tracks.tolist()) <= set(self.ids.tolist()):
+        if not ((self.confidences >= 0.0) & (self.confidences <= 1.0)).all():
+            raise ValueError(f"Vehicles.confidences: expected numbers from 0 to 1, got {self.confidences.tolist()}")
+        if not set(self.of_tracks.tolist()) <= set(self.ids.tolist()):
             raise ValueError(f"Vehicles.of_tracks: expected ids of vehicles, got {self.of_tracks.tolist()}")
         is_index = (self.leading >= 0) & (self.leading < len(self.of_tracks))
         if not is_index.all() or (self.of_tracks[self.leading] != self.ids).any():
             raise ValueError(f"Vehicles.leading: expected a track of each vehicle, got {self.leading.tolist()}")
-        object.__setattr__(self, "of_tracks", frozen_view(self.of_tracks))
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -130,6 +130,18 @@ def test_bad_use_is_refused(tmp_path: Path) -> None:
         PVDNWriter(tmp_path)
 
 
+@pytest.mark.parametrize(("ids", "times_ns"), [((4, 5), (0, 0)), ((4, 5), (0, 999_999)), ((5, 4), (0, 10**9))])
+def test_times_that_the_reader_would_refuse(ids: tuple[int, ...], times_ns: tuple[int, ...], tmp_path: Path) -> None:
+    images = [LabelledImage(_frame(number, time_ns)) for number, time_ns in zip(ids, times_ns, strict=True)]
+    words = r"S00001: timestamp_ns of image 5: expected a later millisecond than that of image 4, \d+, got 0"
+    with pytest.raises(ValueError, match=words), PVDNWriter(tmp_path, info={"rate_hz": 18.0}) as writer:
+        writer.add_sequence(Sequence.plain(1), images)
+    assert not list(tmp_path.iterdir())
+    with PVDNWriter(tmp_path) as writer:  # without a rate the times are not read
+        writer.add_sequence(Sequence.plain(1), images)
+    assert len(PVDN(tmp_path)) == 2
+
+
 def test_leftovers_of_an_interrupted_run_are_named(tmp_path: Path) -> None:
     PVDNWriter(tmp_path).add_sequence(Sequence.plain(1), [LabelledImage(_frame(4))])
     with pytest.raises(ValueError, match=r"00000.*: expected a folder without a data set, this file is there"):

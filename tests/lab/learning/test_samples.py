@@ -13,6 +13,7 @@ from foreglow.datasets import PVDN, Selection
 from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.datasets.simulated import BoxShares
 from foreglow.datasets.simulated.shares import write_shares
+from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation.boxes.lights import SEEN_ON, Light
 from foreglow.lab.learning import sample_cache
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
@@ -201,6 +202,20 @@ def test_an_interrupted_collection_leaves_nothing(own: PVDN, tmp_path: Path) -> 
     with pytest.raises(KeyboardInterrupt):
         cached_samples(own, PLAIN, tmp_path / "cache", interrupt)
     assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_what_a_killed_collection_left_is_removed(own: PVDN, tmp_path: Path) -> None:
+    killed, running, mine = (
+        tmp_path / name for name in (f".{'a' * 16}.7.partial", f".{'b' * 16}.8.partial", ".c.partial")
+    )
+    for folder in (killed, running, mine):
+        folder.mkdir()
+        (folder / "crops.npy").write_text("half")
+    with FolderLock(running):
+        cached_samples(own, PLAIN, tmp_path)
+    assert not killed.exists()
+    assert (running / "crops.npy").exists()
+    assert (mine / "crops.npy").exists()
 
 
 def test_a_split_without_proposals_has_no_samples(own: PVDN, tmp_path: Path) -> None:

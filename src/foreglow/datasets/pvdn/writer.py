@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -77,7 +78,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     Every file appears whole or not at all, and `sequences.json` comes last, when the block ends without an error:
     until then the folder is not a PVDN split. With an error, nothing of the split stays. The reader takes an image's
     time from its sequence's start and 18 Hz, or `rate_hz` in `info`; with that, the times of a sequence's frames have
-    to increase with their ids.
+    to increase with their ids, or they are refused.
 
     >>> import numpy as np, tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -115,8 +116,9 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             images: At least one image; an id may occur once in the whole split. They are read one at a time.
 
         Raises:
-            ValueError: If an id or a folder occurs twice, a camera configuration does not exist, or the ids differ
-                from the sequence's. Nothing of the sequence is left behind then.
+            ValueError: If an id or a folder occurs twice, a camera configuration does not exist, the ids differ from
+                the sequence's, or `info` has a `rate_hz` and the times do not increase with the ids, by a millisecond
+                at least. Nothing of the sequence is left behind then.
             OSError: If a file cannot be written; likewise.
         """
         for known in self._sequences:
@@ -125,12 +127,14 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         folder = self.root / "images" / sequence.directory
         written: list[Path] = []
         added: dict[int, ImageRecord] = {}
+        times_ns: dict[int, int] = {}
         annotations: list[ImageAnnotation] = []
         try:
             folder.mkdir(exist_ok=True)
             for labelled in images:
                 record = self._record(labelled, added)
                 added[record.id] = record
+                times_ns[record.id] = labelled.frame.timestamp_ns
                 self._write(labelled, folder / record.file_name, written)
                 if labelled.earlier is not None and record.earlier is not None:
                     written.append(folder / record.earlier.file_name)
@@ -140,6 +144,8 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
                     ImageAnnotation(id=next_id + number, category=category, image_id=record.id)
                     for number, category in enumerate(labelled.categories)
                 ]
+            if "rate_hz" in self._info:
+                self._check_times(sequence, times_ns)
             stored = self._stored(sequence, tuple(added))
         except BaseException:
             for path in written:
@@ -203,6 +209,16 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         age_ms = (frame.timestamp_ns - labelled.earlier.timestamp_ns) / 1e6
         name = earlier_name(record.file_name)
         return record.model_copy(update={"earlier": EarlierImage(file_name=name, age_ms=age_ms)})
+
+    def _check_times(self, sequence: Sequence, times_ns: Mapping[int, int]) -> None:
+        """ValueError if the reader would refuse the images' times, which are written in milliseconds."""
+        times_ms = {image_id: times_ns[image_id] // 1_000_000 for image_id in sorted(times_ns)}
+        for before, after in itertools.pairwise(times_ms):
+            if times_ms[before] >= times_ms[after]:
+                raise ValueError(
+                    f"{self.root}: sequence {sequence.directory}: timestamp_ns of image {after}: expected a later "
+                    f"millisecond than that of image {before}, {times_ms[before]}, got {times_ms[after]}"
+                )
 
     def _write(self, labelled: LabelledImage, path: Path, written: list[Path]) -> None:
         """Writes the image and its label files; each path is added to `written` before the file is there."""

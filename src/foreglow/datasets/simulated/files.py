@@ -41,6 +41,9 @@ from foreglow.whole_files import write_atomic
 MAX_FRAMES = 10_000
 """Images of a sequence; an image id is the sequence's number times this, plus the frame's number in the drive."""
 
+TRUTH_FILES = ("camera.toml", "frames.jsonl", "road.json", "scene.json")
+"""Files of every sequence's truth, in the order in which they are written."""
+
 DEPTH_STEPS_PER_M = 256.0
 
 CONVENTIONS = {

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +20,7 @@ import foreglow.proposals as proposals
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.simulated import shares_path
+from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 
 FORMAT = 3
@@ -25,6 +28,7 @@ FORMAT = 3
 
 _DONE = "samples.json"
 _HEADER_BYTES = 128
+_PARTIAL = re.compile(r"\.[0-9a-f]{16}\.\d+\.partial")
 
 
 def cached_samples(
@@ -33,7 +37,7 @@ def cached_samples(
     """The samples of the selected images of `dataset`, memory-mapped from a folder in `cache`.
 
     Unless samples of these images, labels and configuration exist, they are collected and written image by image:
-    0.35 GB for 86,000 crops of 64x64. An interrupted call leaves nothing behind.
+    0.35 GB for 86,000 crops of 64x64. An interrupted call leaves nothing behind, and what a killed one left is removed.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -46,9 +50,10 @@ def cached_samples(
     if found is not None:
         return found
     cache.mkdir(parents=True, exist_ok=True)
+    _clear(cache)
     partial = cache / f".{digest[:16]}.{os.getpid()}.partial"
-    shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
+    writing = FolderLock(partial)
     try:
         num_samples = _write(partial, samples_by_image(dataset, config, progress), no_samples(config.inputs))
         about = {"digest": digest, "data": str(dataset.root), "num_samples": num_samples, "format": FORMAT}
@@ -58,10 +63,20 @@ def cached_samples(
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
+    finally:
+        writing.release()
     written = _read(folder, digest)
     if written is None:
         raise ValueError(f"{folder}: expected the samples just written, found them broken")
     return written
+
+
+def _clear(cache: Path) -> None:
+    """Removes what killed processes, here or on another machine, have left: they hold no locks any more."""
+    for left in cache.glob(".*.partial"):
+        if _PARTIAL.fullmatch(left.name):
+            with contextlib.suppress(OSError, ValueError), FolderLock(left):
+                shutil.rmtree(left, ignore_errors=True)
 
 
 def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver
+from foreglow.lab.simulation.drivable import read_drivable
 from foreglow.lab.simulation.drive import Drive
 from foreglow.lab.simulation.scenes.scenarios import scenario, with_beam
-from foreglow.lab.simulation.scenes.scene import Scene, read_scene
+from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.runtime.live.cameras import CameraOptions
 from foreglow.runtime.live.sources import START_S, ClosedLoop
 from foreglow.types import BeamCommand, Frame
@@ -25,9 +26,9 @@ def open_drive(name: str, options: CameraOptions) -> LiveDrive:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file is broken, or there is no such scenario or quality.
+        ValueError: If the file is broken or cannot be driven, or there is no such scenario or quality.
     """
-    scene = read_scene(Path(name)) if name.endswith(".toml") else scenario(name, options.seed)
+    scene = read_drivable(Path(name)) if name.endswith(".toml") else scenario(name, options.seed)
     return LiveDrive(scene, options.quality)
 
 

@@ -7,9 +7,11 @@ import queue
 import threading
 from collections.abc import Callable
 
+from foreglow.plugins import words_of
 from foreglow.runtime.health import Health, LiveSink
 from foreglow.runtime.live.worker import THREADS
 from foreglow.types import Frame, FrameResult
+from foreglow.whole_files import output_words
 
 NUM_WAITING = 64
 """Frames that may wait for a sink, 3.6 s at 18 Hz; further ones are lost to it."""
@@ -42,6 +44,13 @@ class Background:
         self._waiting: queue.Queue[Callable[[], None] | None] = queue.Queue(NUM_WAITING)
         self._thread = threading.Thread(target=self._run, name=f"{THREADS}sink {type(sink).__name__}", daemon=True)
         self._thread.start()
+
+    @property
+    def words(self) -> str:
+        """Why it failed: what the error says of its file, or else what kind of sink and error it is."""
+        if isinstance(self.error, OSError) and self.error.filename is not None:
+            return output_words(self.error)
+        return f"{type(self.sink).__name__}: {words_of(self.error) if self.error is not None else 'behind'}"
 
     @property
     def is_behind(self) -> bool:

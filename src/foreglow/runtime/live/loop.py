@@ -202,9 +202,7 @@ class LiveLoop:
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
             num_unrecorded=sum(sink.num_lost for sink in self._sinks),
-            sink_errors=[
-                f"{type(sink.sink).__name__}: {words_of(sink.error)}" for sink in self._sinks if sink.error is not None
-            ],
+            sink_errors=[sink.words for sink in self._sinks if sink.error is not None],
             fault_counts=dict(self._book.counts.most_common()),
             faults=tuple(self._book.events),
         )
@@ -356,11 +354,7 @@ class LiveLoop:
         self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))
 
     def _note_sinks(self) -> None:
-        behind = [
-            f"{type(sink.sink).__name__}: {words_of(sink.error) if sink.error else 'behind'}"
-            for sink in self._sinks
-            if sink.is_behind
-        ]
+        behind = [sink.words for sink in self._sinks if sink.is_behind]
         self._book.note(SINKS, [LiveFault.NOT_RECORDED] if behind else [], "; ".join(behind))
 
     def _report_health(self) -> None:

@@ -17,8 +17,9 @@ from foxglove.mcap import MCAPWriteOptions
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import in_unicode
 from foreglow.folder_lock import lock
-from foreglow.outputs import check_replaceable, partial_path
+from foreglow.outputs import check_replaceable
 from foreglow.runs.origin import full_name
+from foreglow.whole_files import partial_path
 
 
 class GrowingFile:

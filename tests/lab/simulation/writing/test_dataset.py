@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -182,11 +183,46 @@ def test_two_do_not_write_one_split(tmp_path: Path) -> None:
     assert not (tmp_path / "DATA").exists()
 
 
-def test_a_drive_that_lost_an_image_is_made_again(whole: Path, tmp_path: Path) -> None:
-    shutil.copytree(whole, tmp_path / "DATA")
-    next((tmp_path / "DATA/night/train/images/S00002").glob("*.png")).unlink()
+@pytest.mark.parametrize(
+    "lost",
+    [
+        "images/S00002/020001.png",
+        "simulation/S00002/camera.toml",
+        "simulation/S00002/depth",
+        "simulation/S00002/depth/000001.png",
+        "simulation/S00002/frames.jsonl",
+        "simulation/S00002/road.json",
+    ],
+)
+def test_a_drive_that_lost_something_is_made_again(lost: str, whole: Path, tmp_path: Path) -> None:
+    root = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train"
+    shutil.rmtree(root / lost) if (root / lost).is_dir() else (root / lost).unlink()
     assert simulate_dataset(tmp_path / "DATA", SCENES, drive).num_kept == 1
     assert digest(tmp_path / "DATA") == digest(whole)
+
+
+@pytest.mark.parametrize("lost", ["shares.parquet", "light", "light/010001.png"])
+def test_lost_shares_are_made_again(lost: str, tmp_path: Path) -> None:
+    config = DatasetConfig(presets=("foreglow",))
+    simulate_dataset(tmp_path, SCENES[:1], _lit, config)
+    before, path = digest(tmp_path), tmp_path / "night/train/simulation/S00001" / lost
+    assert simulate_dataset(tmp_path, SCENES[:1], _lit, config).num_kept == 1
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert simulate_dataset(tmp_path, SCENES[:1], _lit, config).num_kept == 0
+    assert digest(tmp_path) == before
+
+
+def _lit(of: Scene) -> Iterator[DriveFrame]:
+    """The drive with the light of each source."""
+    light = np.ones((6, 16, 16), np.float32)
+    return (replace(known, light_cd_m2=light) for known in drive(of))
+
+
+def test_a_drive_whose_scene_was_lost_is_not_overwritten(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "DATA")
+    (tmp_path / "DATA/night/train/simulation/S00002/scene.json").unlink()
+    with pytest.raises(FileNotFoundError, match=r"S00002/scene.json: no such file, .* remove .*/S00002 to make it"):
+        simulate_dataset(tmp_path / "DATA", SCENES, drive)
 
 
 def test_processes_change_nothing_and_an_error_in_one_keeps_the_others_scene(whole: Path, tmp_path: Path) -> None:

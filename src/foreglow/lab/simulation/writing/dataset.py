@@ -31,6 +31,7 @@ from foreglow.datasets.json_files import read_json
 from foreglow.datasets.pvdn.schema import Cycle, Name
 from foreglow.datasets.simulated.files import (
     MAX_FRAMES,
+    TRUTH_FILES,
     InfoFile,
     finished_sequences,
     has_truth,
@@ -38,6 +39,8 @@ from foreglow.datasets.simulated.files import (
     sequence_name,
     write_info,
 )
+from foreglow.datasets.simulated.light_maps import light_map_path
+from foreglow.datasets.simulated.shares import SHARES_FILE
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
@@ -314,7 +317,7 @@ def _info(files: list[SceneFile], config: DatasetConfig) -> InfoFile:
 
 
 def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
-    """Numbers of the finished scenes whose images are there; checks that the folder may be written to at all."""
+    """Numbers of the finished scenes of which nothing was lost; checks that the folder may be written to at all."""
     if not has_truth(root):
         for name in ("images", "labels"):
             if any(found.is_file() for found in (root / name).rglob("*")):
@@ -324,18 +327,31 @@ def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
         folder = sequence_folder(root, sequence_id)
         if sequence_id > len(files):
             raise ValueError(f"{folder}: expected at most the {len(files)} scenes of this run; choose another folder")
+        if not (folder / "scene.json").is_file():
+            raise FileNotFoundError(
+                f"{folder / 'scene.json'}: no such file, and nothing else says whether this is a drive of the same "
+                f"scene; choose another folder, or remove {folder} to make it anew"
+            )
         wanted, there = files[sequence_id - 1], read_json(folder / "scene.json", SceneFile)
         field = _difference(wanted.model_dump(mode="json"), there.model_dump(mode="json"))
         if field is not None:
             raise ValueError(
                 f"{folder / 'scene.json'}: {field}; choose another folder, or remove {folder} to make it anew"
             )
-    return frozenset(number for number in finished if _num_images(root, number) >= files[number - 1].scene.num_frames)
+    return frozenset(number for number in finished if _is_whole(root, files[number - 1]))
 
 
-def _num_images(root: Path, sequence: int) -> int:
-    """Number of images that are there of a sequence."""
-    return sum(1 for _ in (root / "images" / sequence_name(sequence)).glob("*.png"))
+def _is_whole(root: Path, file: SceneFile) -> bool:
+    """Whether no image and no file of the truth of a finished sequence was lost."""
+    folder, numbers = sequence_folder(root, file.sequence), range(file.scene.num_frames)
+    image_ids = [file.sequence * MAX_FRAMES + number for number in numbers]
+    wanted = [folder / name for name in TRUTH_FILES]
+    wanted += [folder / "depth" / f"{number:06d}.png" for number in numbers]
+    wanted += [root / "images" / folder.name / f"{image_id:06d}.png" for image_id in image_ids]
+    if file.made_with.presets:
+        wanted.append(folder / SHARES_FILE)
+        wanted += [light_map_path(folder, image_id) for image_id in image_ids]
+    return all(path.is_file() for path in wanted)
 
 
 _NOTHING = object()

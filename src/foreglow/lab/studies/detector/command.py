@@ -46,7 +46,7 @@ def command(
     no_training: Annotated[bool, flag("--no-training", "Only rows whose model is given.")] = False,
     rows: Annotated[str | None, option("NAME,NAME", "Only these rows (default: all).")] = None,
     epochs_paper: Annotated[int | None, option("N", "At most N epochs of training by recipe paper.", min=1)] = None,
-    epochs_ours: Annotated[int | None, option("N", "At most N epochs of training by recipes compact and foreglow.", min=1)] = None,
+    epochs_ours: Annotated[int | None, option("N", "At most N epochs of training our networks.", min=1)] = None,
     patience: PatienceOption = None,
     yolo_epochs: Annotated[int, option("N", "Number of epochs of the YOLOs.", min=1)] = 3,
     yolo_image_size: Annotated[int, option("PX", "Side of the YOLOs' images, a multiple of 32.")] = 320,

@@ -40,9 +40,10 @@ def write_film(
             tone = tone or Tone.of(moment[0].known.frame.image)
             tools = view, pen, tone
             pictures = [_picture(shone, title, tools) for shone, title in zip(moment, titles, strict=True)]
-            movie.add(np.hstack(pictures), moment[0].known.frame.timestamp_ns)
-        movie.close()
+            with naming(path, in_place_of=partial):
+                movie.add(np.hstack(pictures), moment[0].known.frame.timestamp_ns)
         with naming(path, in_place_of=partial):
+            movie.close()
             partial.replace(path)
     except BaseException:
         movie.discard()

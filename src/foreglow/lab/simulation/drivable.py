@@ -1,0 +1,31 @@
+"""Scene files of the user, checked as a whole: our own drive is on the map, and every vehicle on its road."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from foreglow.lab.simulation.scenes.scene import Scene, read_scene
+from foreglow.lab.simulation.world.road import interpolated
+from foreglow.lab.simulation.writing.street_data import check_ego_on_map
+
+
+def read_drivable(path: Path) -> Scene:
+    """The scene in the TOML file `path`, in which each vehicle is on its road for a part of the drive at least.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no scene, our own drive leaves the map, or another vehicle is never on its road; the
+            message names path and field.
+    """
+    scene = read_scene(path)
+    check_ego_on_map(scene, str(path))
+    times_s = [scene.time_s(number) for number in range(scene.num_frames)]
+    for index, vehicle in enumerate(scene.vehicles):
+        road = scene.road.branches[vehicle.branch] if vehicle.lane == "branch" else scene.road
+        arc_lengths_m, _ = interpolated(vehicle.timetable, times_s)
+        if not ((arc_lengths_m > 0.0) & (arc_lengths_m < road.length_m)).any():
+            raise ValueError(
+                f"{path}: vehicles.{index}.timetable: expected arc lengths on its road, 0 to {road.length_m:g} m, at "
+                f"some time of the drive, got {arc_lengths_m.min():g} to {arc_lengths_m.max():g} m"
+            )
+    return scene
