@@ -17,11 +17,11 @@ from tests.datasets.test_video import NUM_FRAMES, make_video
 GOP = 12
 
 
-def make_stream(path: Path, *, num_frames: int = 60, codec: str = "mpeg2video") -> bytes:
+def make_stream(path: Path, *, num_frames: int = 60, codec: str = "mpeg2video", pid: int = 0x100) -> bytes:
     """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame."""
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (96, 128 + num_frames, 3), np.uint8)
-    with av.open(str(path), "w", format="mpegts") as container:
+    with av.open(str(path), "w", format="mpegts", options={"mpegts_start_pid": str(pid)}) as container:
         stream: Any = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
         stream.bit_rate, stream.gop_size = 1_000_000, GOP
@@ -58,6 +58,31 @@ def test_times_that_begin_anew_begin_a_sequence(tmp_path: Path) -> None:
     for sequence in sequences:
         times_ns = [frame.timestamp_ns for frame in frames if frame.sequence == sequence]
         assert times_ns == sorted(times_ns)
+
+
+def test_what_goes_on_as_another_stream_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "two.ts"
+    path.write_bytes(make_stream(tmp_path / "a.ts") + make_stream(tmp_path / "b.ts", pid=0x200))
+    with pytest.raises(ValueError, match=r"two\.ts: frame 60: cannot be read: another video stream begins"):
+        list(Video(path))
+    video = Video(path, on_error="skip")
+    assert len(list(video)) == 60
+    assert len(video.skipped) == 1
+
+
+def test_a_second_stream_beside_the_first_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "front_and_rear.mkv"
+    with av.open(str(path), "w") as container:
+        streams: list[Any] = [container.add_stream("mpeg4", rate=25) for _ in range(2)]
+        for number, stream in enumerate(streams):
+            stream.width, stream.height, stream.pix_fmt = 64 * (number + 1), 64, "yuv420p"
+        for index in range(30):
+            for stream in streams if index > 4 else streams[:1]:
+                image = np.full((64, stream.width, 3), 10 + index, np.uint8)
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        for stream in streams:
+            container.mux(stream.encode(None))
+    assert [frame.image.shape for frame in Video(path)] == 30 * [(64, 64)]
 
 
 def test_a_lost_packet_marks_frames_until_the_next_key_frame(tmp_path: Path) -> None:
@@ -105,6 +130,22 @@ def test_frames_before_the_first_key_frame_are_damaged(tmp_path: Path) -> None:
     assert min(errors[:num_damaged]) > 5
     assert max(errors[num_damaged:]) == 0
     assert not any(frame.is_damaged for frame in frames[num_damaged:])
+
+
+def test_what_an_edit_list_leaves_out_is_no_damage(tmp_path: Path) -> None:
+    """Cutting without coding again: the key frame comes before the first frame that is shown."""
+    make_video(tmp_path / "whole.mp4")
+    whole: Any = av.open(str(tmp_path / "whole.mp4"))
+    with whole, av.open(str(tmp_path / "cut.mp4"), "w") as cut:
+        stream = cut.add_stream_from_template(whole.streams.video[0])
+        for packet in whole.demux(whole.streams.video[0]):
+            if packet.size:
+                shift = 10 * packet.duration
+                packet.pts, packet.dts, packet.stream = packet.pts - shift, packet.dts - shift, stream
+                cut.mux(packet)
+    frames = list(Video(tmp_path / "cut.mp4"))
+    assert NUM_FRAMES - 12 <= len(frames) < NUM_FRAMES
+    assert not any(frame.is_damaged for frame in frames)
 
 
 def write_h264(path: Path, pixels: str, parameters: str) -> None:

@@ -47,15 +47,20 @@ _WHOLE_RANGE = 2
 """FFmpeg's number for pictures whose values reach from 0 to 255."""
 
 
+def video_streams(container: Any) -> list[Any]:
+    """The video streams but for cover pictures."""
+    from av.stream import Disposition
+
+    return [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
+
+
 def video_stream(container: Any, name: str) -> Any:
     """The first video stream of what is called `name`, with `CODEC_OPTIONS`; a cover picture is none.
 
     Raises:
         ValueError: If there is none, or no decoder for it.
     """
-    from av.stream import Disposition
-
-    streams = [each for each in container.streams.video if not each.disposition & Disposition.attached_pic]
+    streams = video_streams(container)
     if not streams:
         raise ValueError(f"{name}: expected a video stream, it has none")
     stream = streams[0]
@@ -94,9 +99,13 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     checksums = _Ffv1Checksums() if codec.name == "ffv1" else None
     numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
     damaged, key, latest = -math.inf, -math.inf, -1  # numbers of packets
+    first_keys: set[int] = set()
     for number, packet in enumerate(_packets(container, stream)):
         packet.opaque = number
-        is_key = packet.is_keyframe
+        if key < 0 and packet.is_keyframe:
+            first_keys.add(number)
+            if packet.is_discard:  # an edit list shows only what comes later
+                key = number
         if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
             damaged = number
         if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
@@ -112,7 +121,7 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             origin = number if picture.opaque is None else picture.opaque
             if picture.is_corrupt:
                 damaged = max(damaged, origin)
-            if picture.key_frame or (key < 0 and is_key):  # some decoders mark no picture
+            if picture.key_frame or (key < 0 and origin in first_keys):  # some decoders mark no picture
                 key = origin
             latest = max(latest, origin)
             yield picture, damaged >= key - 1

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from foreglow.datasets.decoding import CODEC_OPTIONS, FILM_FORMATS, decoded, grey_image, picture_chroma, video_stream
+from foreglow.datasets.decoding import (
+    CODEC_OPTIONS,
+    FILM_FORMATS,
+    decoded,
+    grey_image,
+    picture_chroma,
+    video_stream,
+    video_streams,
+)
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.types import Frame
@@ -20,6 +29,9 @@ _LEAST_SHARE = 0.95
 
 _FEW_FRAMES = 4
 """A Matroska file may end so many frames' times before its stated end."""
+
+_LAST_PACKETS = 2
+"""So many of a transport stream's video may come at the end of the file only, after another stream began."""
 
 _MATROSKA_SEGMENT = 0x18538067
 _MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
@@ -112,7 +124,7 @@ class Video(FileSource):
         index, latest, sequence, reached_ns = -1, (0, 0), "", 0
         try:
             with self._opened() as (container, stream):
-                for picture, is_damaged in decoded(container, stream):
+                for picture, is_damaged in decoded(_Whole(container), stream):
                     index += 1
                     if picture is not None and picture.pts is not None and picture.time_base:
                         end = (int(picture.pts) + (picture.duration or 0)) * Fraction(picture.time_base)
@@ -177,6 +189,32 @@ class Video(FileSource):
             raise ValueError(self._truncation or f"{self.path}: {expected}, cannot be opened{reason}") from error
         with container:
             yield container, video_stream(container, str(self.path))
+
+
+class _Whole:
+    """A container that notices where its video goes on as another stream, as after a restart of the recorder."""
+
+    def __init__(self, container: Any) -> None:
+        self._container = container
+
+    def demux(self, stream: Any) -> Iterator[Any]:
+        """The packets of `stream`.
+
+        Raises:
+            FFmpegError: If the container cannot be read any further, or another video stream begins where it ends.
+        """
+        from av.error import InvalidDataError
+
+        num_others: Counter[int] = Counter()  # packets of other video streams
+        num_ours: Counter[int] = Counter()  # packets of this one since each of those began
+        for packet in self._container.demux(video_streams(self._container)):
+            if packet.stream is stream:
+                num_ours.update(num_others.keys() if packet.size else ())
+                yield packet
+            elif packet.size:
+                num_others[packet.stream.index] += 1
+        if any(num > _LAST_PACKETS and num_ours[index] <= _LAST_PACKETS for index, num in num_others.items()):
+            raise InvalidDataError(errno.EINVAL, "another video stream begins where this one ends")
 
 
 def _stated_end_ns(container: Any) -> int:
