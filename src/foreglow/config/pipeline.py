@@ -79,7 +79,7 @@ PRESETS: dict[str, PipelineConfig] = {
             split_saddle=0.6,
         ),
         # Leaves 0.2 false boxes per frame in lossless validation images without vehicles.
-        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.38),
+        classifier=ClassifierConfig(model=Path("foreglow"), score_threshold=0.47),
         distance=DistanceConfig(estimator="road_surface"),
         tracker=OUR_TRACKER,
     ),
