@@ -143,16 +143,16 @@ class BothNetwork(nn.Module):
     Either is wrong where the other is not: a light alone on a dark road, or one street lamp of a row. In training
     each learns for itself, since networks that learnt their mean would no longer differ.
 
-    Most boxes hold no light of a vehicle, as the first network alone can tell. In use the second neither judges nor
-    hears those whose logit is below `LEAST_LOGIT`, which saves half of its time; each frame has one that it judges.
+    Many boxes hold no light of a vehicle, as the first network alone can tell. In use the second neither judges nor
+    hears those whose logit is below `LEAST_LOGIT`, which saves some of its time; each frame has one that it judges.
 
     Reads crops (N, C, 32, 32) and all ten features (N, 10), of which the first reads nine; writes logits (N, 1) or
     (N, 5).
     """
 
     NUM_FEATURES_ALONE = NUMS_FEATURES[-2]
-    LEAST_LOGIT = -4.0
-    """Of being light: a score of .018. Were the second network's as high as .9, the mean would be .3."""
+    LEAST_LOGIT = -5.0
+    """Of being light: a score of .007. Were the second network's as high as .97, the mean would be .3."""
 
     def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
         super().__init__()
