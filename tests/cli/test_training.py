@@ -70,7 +70,7 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     summary = json.loads((out / "summary.json").read_text())
     assert summary["samples"]["train"] == {"positive": 24, "negative": 48, "ignored": 0}  # with copies
     assert summary["samples"]["val"] == {"positive": 12, "negative": 24, "ignored": 0}
-    assert (summary["seed"], summary["network"], summary["num_epochs"]) == (5, "compact", 12)
+    assert (summary["seed"], summary["network"], summary["num_epochs"]) == (5, "both", 12)
     assert summary["largest_difference_of_export"] < 1e-3
     figures = summary["validation"]
     assert f"and shift {figures['shift']:.2f}: calibration error" in done.stdout
@@ -149,7 +149,7 @@ def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: 
 def test_inputs_that_the_network_cannot_read(tmp_path: Path, options: list[object]) -> None:
     (tmp_path / "quick.toml").write_text("[inputs]\nsize_px = 48\n")
     line = complaint(*options, "--out", tmp_path / "run", "--epochs", 1)
-    assert "recipe: inputs: the network compact cannot read InputSpec(size_px=48" in line
+    assert "recipe: inputs: the network both cannot read InputSpec(size_px=48" in line
 
 
 def test_a_data_set_without_validation(tmp_path: Path, options: list[object]) -> None:
