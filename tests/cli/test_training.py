@@ -183,6 +183,10 @@ def test_the_paper_recipe_exports_its_network(data: Path, tmp_path: Path) -> Non
     summary = train_model([data], recipe, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
     assert summary["num_parameters"] == 942_209
     assert summary["largest_difference_of_export"] < 1e-4
+    other, before = RECIPES["compact"], sorted((tmp_path / "run").rglob("*"))
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: .*: expected that of the training begun here"):
+        train_model([data], other, PipelineConfig(proposals=proposals), tmp_path / "run", device="cpu")
+    assert sorted((tmp_path / "run").rglob("*")) == before  # no samples of the refused recipe
 
 
 def held_out(*after: float) -> Judged:

@@ -12,6 +12,9 @@ import zlib
 from collections.abc import Iterator
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
+"""The last chunk of a PNG."""
+
 JPEG_SIGNATURE = b"\xff\xd8\xff"
 
 _PNG_HEADER = struct.Struct(">IIBBBBB")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import tokenize
 from collections.abc import Iterator
 from os import PathLike
@@ -13,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_SIGNATURE, size_px
+from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_END, PNG_SIGNATURE, size_px
 from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
@@ -98,6 +99,16 @@ def png(image: Image) -> bytes:
     """`image` as a PNG file, without loss."""
     _, data = cv2.imencode(".png", image)
     return bytes(data)
+
+
+def has_ends_of_png(path: Path) -> bool:
+    """Whether there is a file that begins and ends as a PNG does; what is between is not read."""
+    if not path.is_file() or path.stat().st_size < len(PNG_SIGNATURE) + len(PNG_END):
+        return False
+    with path.open("rb") as file:
+        begin = file.read(len(PNG_SIGNATURE))
+        file.seek(-len(PNG_END), os.SEEK_END)
+        return begin == PNG_SIGNATURE and file.read() == PNG_END
 
 
 def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:

@@ -167,9 +167,31 @@ def test_broken_logs(tmp_path: Path, suffix: str, expected: str) -> None:
     path = tmp_path / f"drive{suffix}"
     with pytest.raises(FileNotFoundError, match="drive"):
         read_can_log(path)
-    path.write_bytes(b"\x00\xffthis is no log at all\n" * 20)
+    path.write_bytes(b"\xffthis is no log at all\n" * 20)
     with pytest.raises(ValueError, match=rf"drive\{suffix}: {expected}"):
         read_can_log(path)
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".log"])
+@pytest.mark.parametrize("block", [bytes(200), bytes(range(0x80, 0x100)) + b"\x01"], ids=["zero", "binary"])
+def test_binary_bytes_within_text_are_damage(
+    suffix: str, block: bytes, tmp_path: Path, drive: list[tuple[int, StreetMessage]]
+) -> None:
+    """The messages there were passed over in silence."""
+    path = tmp_path / f"drive{suffix}"
+    write_can_log(path, drive)
+    data = bytearray(path.read_bytes())
+    data[4000 : 4000 + len(block)] = block
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=rf"drive\{suffix}: line \d+: expected text, got "):
+        read_can_log(path)
+
+
+def test_a_comment_may_have_any_letters(tmp_path: Path, drive: list[tuple[int, StreetMessage]]) -> None:
+    path = tmp_path / "drive.asc"
+    write_can_log(path, drive)
+    path.write_bytes("// Größe: 5 µm\r\n".encode("cp1252") + path.read_bytes() + b"\x1a")
+    assert read_can_log(path).has_street
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5])

@@ -41,9 +41,6 @@ from foreglow.whole_files import write_atomic
 MAX_FRAMES = 10_000
 """Images of a sequence; an image id is the sequence's number times this, plus the frame's number in the drive."""
 
-TRUTH_FILES = ("camera.toml", "frames.jsonl", "road.json", "scene.json")
-"""Files of every sequence's truth, in the order in which they are written."""
-
 DEPTH_STEPS_PER_M = 256.0
 
 CONVENTIONS = {
@@ -235,14 +232,7 @@ class SimulatedTruth:
         """
         if sequence_id not in self.sequence_ids:
             raise ValueError(f"{self.root}: sequence: expected one of {self.sequence_ids}, got {sequence_id}")
-        folder = sequence_folder(self.root, sequence_id)
-        return SequenceTruth(
-            root=folder,
-            sequence_id=sequence_id,
-            scenario=self.scenario(sequence_id),
-            camera=read_calibration(folder / "camera.toml"),
-            frames=tuple(_read_frames(folder / "frames.jsonl", sequence_id)),
-        )
+        return read_sequence(self.root, sequence_id)
 
     def scenario(self, sequence_id: int) -> str:
         """Name of the scene of this sequence, such as `crest`; reads nothing else of it.
@@ -251,7 +241,7 @@ class SimulatedTruth:
             FileNotFoundError: If there is no such sequence.
             ValueError: If its `scene.json` is broken.
         """
-        return read_json(sequence_folder(self.root, sequence_id) / "scene.json", _SceneFile).scene.name
+        return _scenario(sequence_folder(self.root, sequence_id))
 
     def sequence_of(self, image_id: int) -> SequenceTruth:
         """The sequence of image `image_id`; it is read anew at each call."""
@@ -266,6 +256,18 @@ def read_truth(root: Path | str) -> SimulatedTruth:
         ValueError: If its `info.json` is broken.
     """
     return SimulatedTruth(Path(root))
+
+
+def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
+    """As `SimulatedTruth.sequence`, for a split whose `info.json` may not be there yet."""
+    folder = sequence_folder(root, sequence_id)
+    return SequenceTruth(
+        root=folder,
+        sequence_id=sequence_id,
+        scenario=_scenario(folder),
+        camera=read_calibration(folder / "camera.toml"),
+        frames=tuple(_read_frames(folder / "frames.jsonl", sequence_id)),
+    )
 
 
 def has_truth(root: Path) -> bool:
@@ -318,6 +320,10 @@ def encoded_depth(depth_m: ArrayLike) -> NDArray[np.uint16]:
 def decoded_depth_m(stored: NDArray[np.uint16]) -> Floats:
     """Metres from a depth image; NaN where there is nothing."""
     return np.where(stored > 0, stored / DEPTH_STEPS_PER_M, np.nan)
+
+
+def _scenario(folder: Path) -> str:
+    return read_json(folder / "scene.json", _SceneFile).scene.name
 
 
 def _info_path(root: Path) -> Path:

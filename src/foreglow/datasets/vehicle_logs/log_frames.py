@@ -40,6 +40,7 @@ _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
 _RELATIVE = re.compile(
     r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE
 )  # each time counts from the event before
+_BINARY = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]")  # in no encoding of text but UTF-16; DOS ends it with 0x1a
 _CANDUMP_LINE = re.compile(r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-Fa-f]{1,8}#")  # time, bus, identifier
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
@@ -166,6 +167,9 @@ class _TextLog(io.TextIOWrapper):
         if _RELATIVE.match(self.line):
             self.is_told = True
             raise ValueError(f"{self._path}: line {self.number}: expected timestamps absolute, got relative ones")
+        if _BINARY.search(self.line):  # python-can passes over a line of .asc that it does not know
+            self.is_told = True
+            raise ValueError(f"{self._path}: line {self.number}: expected text, got {shortened(self.line.strip())}")
         return self.line
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,28 +62,48 @@ def read_checkpoint(folder: Path, identity: Mapping[str, Any]) -> Checkpoint | N
     Raises:
         ValueError: If it is damaged or has another identity; the message names the first difference.
     """
-    path = folder / NAME
+    checkpoint = _whole_checkpoint(folder / NAME)
+    if checkpoint is not None:
+        began, wanted = _by_field(checkpoint.identity), _by_field(identity)
+        _check_same(folder / NAME, began, wanted, began.keys() | wanted.keys())
+    return checkpoint
+
+
+def check_begun(folder: Path, recipe: Mapping[str, Any]) -> None:
+    """Checks, before samples are made, that a training begun in `folder` has these fields of its recipe.
+
+    Raises:
+        ValueError: If its checkpoint is damaged, or one of them differs; the message names the first.
+    """
+    checkpoint = _whole_checkpoint(folder / NAME)
+    if checkpoint is not None:
+        wanted = _by_field(recipe)
+        _check_same(folder / NAME, _by_field(checkpoint.identity), wanted, wanted.keys())
+
+
+def _whole_checkpoint(path: Path) -> Checkpoint | None:
     if not path.is_file():
         return None
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         if content.pop("format") != _FORMAT:
             raise ValueError("another format")
-        checkpoint = Checkpoint(**content)
+        return Checkpoint(**content)
     except (
         *(pickle.UnpicklingError, RuntimeError, EOFError, OSError),
         *(ValueError, LookupError, AttributeError, TypeError),
     ) as error:
         raise ValueError(f"{path}: expected a whole checkpoint, found it damaged; remove it to start anew") from error
-    began, wanted = _by_field(checkpoint.identity), _by_field(identity)
-    for name in sorted(began.keys() | wanted.keys()):
+
+
+def _check_same(path: Path, began: Mapping[str, Any], wanted: Mapping[str, Any], names: Iterable[str]) -> None:
+    for name in sorted(names):
         before, now = began.get(name), wanted.get(name)
         if before != now:
             raise ValueError(
                 f"{path}: {name}: expected that of the training begun here, {shortened(before)}, got {shortened(now)}; "
                 "choose another folder, or remove this one"
             )
-    return checkpoint
 
 
 def _by_field(values: Mapping[str, Any], of: str = "") -> dict[str, Any]:

@@ -75,6 +75,7 @@ def train_model(
     import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
+    from foreglow.lab.learning.checkpoints import check_begun
     from foreglow.lab.learning.teaching import read_teachers, taught_kinds
     from foreglow.lab.learning.training import train
 
@@ -92,6 +93,7 @@ def train_model(
         "train": [open_labelled(path) for path in learnt],
         "val": [open_labelled(split_folder(path, "val")) for path in whole],
     }
+    check_begun(folder, recipe.model_dump(mode="json"))
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {

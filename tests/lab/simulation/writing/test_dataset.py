@@ -201,6 +201,36 @@ def test_a_drive_that_lost_something_is_made_again(lost: str, whole: Path, tmp_p
     assert digest(tmp_path / "DATA") == digest(whole)
 
 
+@pytest.mark.parametrize(
+    ("damaged", "num_left"),
+    [
+        ("images/S00002/020001.png", 4),
+        ("images/S00002/020000.png", -1),
+        ("simulation/S00002/depth/000001.png", 0),
+        ("simulation/S00002/camera.toml", 10),
+        ("simulation/S00002/frames.jsonl", 3),
+        ("simulation/S00002/frames.jsonl", 0),
+        ("simulation/S00002/road.json", -1),
+    ],
+)
+def test_a_drive_of_which_a_file_is_damaged_is_made_again(
+    damaged: str, num_left: int, whole: Path, tmp_path: Path
+) -> None:
+    root = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train"
+    (root / damaged).write_bytes((root / damaged).read_bytes()[:num_left])
+    assert simulate_dataset(tmp_path / "DATA", SCENES, drive).num_kept == 1
+    assert digest(tmp_path / "DATA") == digest(whole)
+
+
+def test_a_refusal_leaves_the_labels(whole: Path, tmp_path: Path) -> None:
+    """A damaged scene is not made again, since nothing else says what was driven; the rest stays readable."""
+    root = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train"
+    (root / "simulation/S00002/scene.json").write_text('{"a')
+    with pytest.raises(ValueError, match=r"S00002/scene.json: expected JSON.*remove .*/S00002 to make it anew"):
+        simulate_dataset(tmp_path / "DATA", SCENES, drive)
+    assert len(PVDN(root)) == 5
+
+
 @pytest.mark.parametrize("lost", ["shares.parquet", "light", "light/010001.png"])
 def test_lost_shares_are_made_again(lost: str, tmp_path: Path) -> None:
     config = DatasetConfig(presets=("foreglow",))
@@ -210,6 +240,10 @@ def test_lost_shares_are_made_again(lost: str, tmp_path: Path) -> None:
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     assert simulate_dataset(tmp_path, SCENES[:1], _lit, config).num_kept == 0
     assert digest(tmp_path) == before
+    if path.is_file():
+        path.write_bytes(path.read_bytes()[:-1])
+        assert simulate_dataset(tmp_path, SCENES[:1], _lit, config).num_kept == 0
+        assert digest(tmp_path) == before
 
 
 def _lit(of: Scene) -> Iterator[DriveFrame]:

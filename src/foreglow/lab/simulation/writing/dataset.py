@@ -14,6 +14,7 @@ becomes as many sequences, one after the other.
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import functools
 import itertools
@@ -27,20 +28,23 @@ from typing import Annotated, Any, TypeAlias
 from pydantic import Field
 
 from foreglow.config import FrozenModel, validated
+from foreglow.datasets.images import has_ends_of_png
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.pvdn.schema import Cycle, Name
 from foreglow.datasets.simulated.files import (
     MAX_FRAMES,
-    TRUTH_FILES,
     InfoFile,
+    RoadFile,
     finished_sequences,
     has_truth,
+    read_sequence,
     sequence_folder,
     sequence_name,
+    shares_path,
     write_info,
 )
 from foreglow.datasets.simulated.light_maps import light_map_path
-from foreglow.datasets.simulated.shares import SHARES_FILE
+from foreglow.datasets.simulated.shares import read_shares
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
@@ -332,7 +336,10 @@ def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
                 f"{folder / 'scene.json'}: no such file, and nothing else says whether this is a drive of the same "
                 f"scene; choose another folder, or remove {folder} to make it anew"
             )
-        wanted, there = files[sequence_id - 1], read_json(folder / "scene.json", SceneFile)
+        try:
+            wanted, there = files[sequence_id - 1], read_json(folder / "scene.json", SceneFile)
+        except ValueError as error:
+            raise ValueError(f"{error}; choose another folder, or remove {folder} to make it anew") from None
         field = _difference(wanted.model_dump(mode="json"), there.model_dump(mode="json"))
         if field is not None:
             raise ValueError(
@@ -342,16 +349,26 @@ def _kept(root: Path, files: list[SceneFile]) -> frozenset[int]:
 
 
 def _is_whole(root: Path, file: SceneFile) -> bool:
-    """Whether no image and no file of the truth of a finished sequence was lost."""
+    """Whether a finished sequence has lost no image and no file of its truth, nor a part of one."""
     folder, numbers = sequence_folder(root, file.sequence), range(file.scene.num_frames)
     image_ids = [file.sequence * MAX_FRAMES + number for number in numbers]
-    wanted = [folder / name for name in TRUTH_FILES]
-    wanted += [folder / "depth" / f"{number:06d}.png" for number in numbers]
-    wanted += [root / "images" / folder.name / f"{image_id:06d}.png" for image_id in image_ids]
+    images = [folder / "depth" / f"{number:06d}.png" for number in numbers]
+    images += [root / "images" / folder.name / f"{image_id:06d}.png" for image_id in image_ids]
     if file.made_with.presets:
-        wanted.append(folder / SHARES_FILE)
-        wanted += [light_map_path(folder, image_id) for image_id in image_ids]
-    return all(path.is_file() for path in wanted)
+        images += [light_map_path(folder, image_id) for image_id in image_ids]
+    return all(has_ends_of_png(path) for path in images) and _is_truth_whole(root, file)
+
+
+def _is_truth_whole(root: Path, file: SceneFile) -> bool:
+    folder = sequence_folder(root, file.sequence)
+    try:
+        truth = read_sequence(root, file.sequence)
+        read_json(folder / "road.json", RoadFile)
+        if file.made_with.presets:
+            collections.deque(read_shares(shares_path(root, file.sequence)), maxlen=0)
+    except (FileNotFoundError, ValueError):
+        return False
+    return len(truth.frames) == file.scene.num_frames
 
 
 _NOTHING = object()
