@@ -16,8 +16,8 @@ from rich.table import Table
 
 from benchmarks.timing import CONSOLE, Contender, Row, in_ms, interleaved, options, table, write_results
 from foreglow.beam import make_policy
-from foreglow.beam.camera_watch import NUM_KNOWN
 from foreglow.beam.guard import Guard
+from foreglow.beam.known_images import NUM_KNOWN
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, OWN_DBC, CommandEncoder, decode_gaps, decode_levels
 from foreglow.beam.receiver import LampReceiver
 from foreglow.beam.stage import BeamStage

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, options, table, write_results
-from foreglow.beam.camera_watch import NUM_KNOWN
 from foreglow.beam.guard import Guard
+from foreglow.beam.known_images import NUM_KNOWN
 from foreglow.beam.led_bounds import Lamps
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose, rotation

@@ -13,6 +13,7 @@ namespace {
 constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
 constexpr std::int32_t top_level = 255;   // the greatest value has so many 8-bit grey levels
 constexpr std::int32_t edge_levels = 10;  // 8-bit grey levels, in the mean along the edge
+constexpr std::int64_t row_step = 7;      // one row of so many is looked at: a prime number, for every pattern of rows
 constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
 constexpr std::int64_t max_pieces = 8;    // of a row, to see whether one is flat
 constexpr std::int64_t num_columns = 160; // about so many are compared from row to row
@@ -70,8 +71,8 @@ public:
           here_(above_.size()) {}
 
     void take(std::int64_t y) {
-        if (y % block_px == 0 && y + 1 < image_.height_px) find_repetition(y);
-        if (y % block_px == block_px / 2) find_flat_pieces(y);
+        if (y % row_step == 0 && y + 1 < image_.height_px) find_repetition(y);
+        if (y % row_step == row_step / 2) find_flat_pieces(y);
         compare_with_above(y);
     }
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK_PX, SQUARE_PX, NUM_TILES = 8, 16, 8
+BLOCK_PX, SQUARE_PX, NUM_TILES, ROW_STEP = 8, 16, 8, 7
 EDGE_LEVELS, RARE = 10, 1000
 NUM_PIECES, NUM_COLUMNS = 8, 160
 
@@ -29,7 +29,7 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
     edges, other_edges = (
         num_edges(wide, first_px, unit) + num_edges(wide.T, first_px, unit) for first_px in (SQUARE_PX, SQUARE_PX // 2)
     )
-    rows = now[: now.shape[0] - 1 : BLOCK_PX], now[1::BLOCK_PX]
+    rows = now[: now.shape[0] - 1 : ROW_STEP], now[1::ROW_STEP]
     return {
         "strongest": np.sort(changes, axis=None)[-1 - changes.size // RARE],
         "tiles": tiles,
@@ -46,9 +46,9 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
 
 
 def share_flat(image: NDArray[Any], num_pieces: int) -> float:
-    """Of every eighth row, cut into so many pieces, the share of pieces with a single value."""
+    """Of every seventh row, cut into so many pieces, the share of pieces with a single value."""
     borders = np.arange(num_pieces + 1) * image.shape[1] // num_pieces
-    pieces = [row[a:b] for row in image[BLOCK_PX // 2 :: BLOCK_PX] for a, b in itertools.pairwise(borders)]
+    pieces = [row[a:b] for row in image[ROW_STEP // 2 :: ROW_STEP] for a, b in itertools.pairwise(borders)]
     return float(np.mean([len(set(piece.tolist())) == 1 for piece in pieces])) if pieces else 0.0
 
 

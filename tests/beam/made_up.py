@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.beam.camera_watch import NUM_KNOWN
+from foreglow.beam.known_images import NUM_KNOWN
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState

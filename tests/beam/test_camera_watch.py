@@ -148,6 +148,56 @@ def test_a_stuck_part_soon_after_a_repeated_image(
     assert all(GuardFault.DAMAGED in found for found in faults[len(good) + 1 :])
 
 
+@pytest.mark.parametrize("part", [0.7, 0.8, 0.9, 0.95, 0.99])
+@pytest.mark.parametrize("side", ["columns", "rows"])
+def test_the_greater_part_is_stuck(drive: list[Image], side: str, part: float) -> None:
+    images = with_noise(drive)
+    height, width = images[0].shape
+    place: Any = np.s_[:, : round(part * width)] if side == "columns" else np.s_[: round(part * height)]
+    for image in images[NUM_GOOD:]:
+        image[place] = images[NUM_GOOD - 1][place]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("num_buffers", [2, 3, 5])
+@pytest.mark.parametrize("part", [0.5, 0.8, 0.95])
+def test_a_part_that_shows_old_images_in_turn(drive: list[Image], part: float, num_buffers: int) -> None:
+    images = with_noise(drive)
+    for number in range(NUM_GOOD, len(images)):
+        old = images[NUM_GOOD - num_buffers + (number - NUM_GOOD) % num_buffers]
+        images[number] = part_of_an_old_image([images[number]], old, part)[0]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("value", [0, 10, 30, 80])
+@pytest.mark.parametrize(("first", "every"), [(0, 2), (1, 2), (2, 3), (3, 4)])
+def test_rows_that_are_dead(drive: list[Image], first: int, every: int, value: int) -> None:
+    images = with_noise(drive)
+    for image in images[NUM_GOOD:]:
+        image[first::every] = value
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD:])
+
+
+@pytest.mark.parametrize(("fault", "every", "num_unseen"), [("stuck", 2, 3), ("stuck", 4, 5), ("dark", 5, 6)])
+def test_damage_of_single_images_with_intact_ones_between(
+    drive: list[Image], fault: str, every: int, num_unseen: int
+) -> None:
+    images = with_noise(drive)
+    old = images[NUM_GOOD - 1]
+    for number in range(NUM_GOOD, len(images), every):
+        shown = old if fault == "stuck" else np.zeros_like(old)
+        images[number] = part_of_an_old_image([images[number]], shown, 0.5)[0]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + num_unseen - 1 :])
+
+
 @pytest.mark.parametrize(("every", "rate_hz"), [(1, 36.0), (2, 30.0), (3, 24.0), (5, 30.0), (6, 18.0)])
 def test_a_stuck_part_where_images_are_repeated_in_a_rhythm(drive: list[Image], every: int, rate_hz: float) -> None:
     later = part_of_an_old_image(drive[NUM_GOOD:], drive[NUM_GOOD - 1], 0.5)

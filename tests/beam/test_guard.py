@@ -89,7 +89,16 @@ def test_guard_imports_no_policy() -> None:
                 own += [parts[2]] if parts[2] not in seen else []
             elif parts[0] == "foreglow":
                 assert parts[1] in {"config", "geometry", "rays", "types"}
-    assert seen == {"guard", "faults", "camera_watch", "image_change", "image_pieces", "led_bounds", "sightlines"}
+    assert seen == {
+        "guard",
+        "faults",
+        "camera_watch",
+        "image_change",
+        "image_pieces",
+        "known_images",
+        "led_bounds",
+        "sightlines",
+    }
 
 
 # Light at vehicles

@@ -32,7 +32,7 @@ struct ImageChange {
 // Blocks have 8 x 8 pixels; what is left over at the right and at the bottom is ignored, and an image that is smaller
 // than a block is one. From each block one pixel is compared, too. An edge is a segment of 16 pixels between two
 // squares of 16 x 16, across which the change differs by more than 10 grey levels in the mean. A row repeats if it is
-// the same as the one below; every eighth one is looked at. Every eighth row, the fifth one first, is looked at for
+// the same as the one below; every seventh one is looked at. Every seventh row, the fourth one first, is looked at for
 // being flat, and in pairs of rows about 160 columns.
 class ImageComparer {
 public:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-import zlib
-from collections import OrderedDict, deque
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.beam.image_pieces import ImagePieces, PieceMeasures
+from foreglow.beam.known_images import KnownImages, KnownParts
 from foreglow.config import GuardConfig
 from foreglow.types import Image
 
@@ -22,8 +22,8 @@ NUM_SAMPLES = 1200
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
 
-SUM_ROWS = 17
-"""One row of so many has a checksum by which it is known again: an odd number, for the rows of both half images."""
+EVERY_ROW = 17
+"""One row of so many is cut into pieces: a prime number, for rows of both half images, or of each third or fourth."""
 
 NEAR_TOP = 0.9
 """A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
@@ -35,9 +35,6 @@ Measured, in shares of the greatest value: a covered lens with noise of 3 grey l
 
 NUM_RECENT = 18
 """Images that say what is usual; a second of them at the paper's rate."""
-
-NUM_KNOWN = 36
-"""Different images that are known again when one comes back; a driver of V4L2 has at most 32 buffers."""
 
 STILL_SHARE = 0.4
 """An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
@@ -73,7 +70,7 @@ FLAT_SHARE = 0.25
 it suddenly becomes dark in one of 320x240 at 0.045 bits a pixel, which may be taken for damage; missing halves .4."""
 
 FLAT_PIECES_SHARE, NOISY_FLAT_SHARE = 0.04, 0.02
-"""Damage: in two images in a row more pieces of rows of a single value than this, where no recent image had more than
+"""Damage: in two images more pieces of rows of a single value than this, where no recent image had more than
 the second number: each had noise. Measured: such streams rise by .006 at most in one image when moving; where noise is
 not transmitted, dark areas are flat without any damage."""
 
@@ -81,10 +78,14 @@ PAIR_SHARES = np.array([[0.85], [0.5]])
 """Damage: in two images in a row, both `pair_ratios` of pairs of rows are below these shares of the least recent ones.
 Measured: never both below 1.3 times these when moving; rows that are repeated behind encoders: .04 to .77, 0 to .38."""
 
-KNOWN_ROWS_SHARE, NOISY_KNOWN_ROWS_SHARE = 0.2, 0.02
-"""Damage: in two images in a row, more than this share of the rows are, pixel by pixel, those of a recent image, where
+KNOWN_SHARE, NOISY_KNOWN_SHARE = 0.1, 0.02
+"""Damage: in two images, more than this share of the pieces of rows are, pixel by pixel, those of earlier images, where
 none of the recent images had more than the second number: each had noise. So it is where a decoder or a driver fills
-only a part of an old buffer. Rows of a single value do not count."""
+only a part of an old buffer. Pieces of a single value do not count. Measured: 0 in the drive that ships, raw, MJPEG, 8
+Mbit/s, and at a quarter of its light; where noise is not transmitted, .6."""
+
+TWO_WITHIN_S = 0.5
+"""Two images of those that are damage only if there are two of a kind: intact ones may come between."""
 
 ROUGH_SHARE = 0.1
 """Damage: so many more pieces of rows than in any of the recent images are noise far above a camera's."""
@@ -117,6 +118,7 @@ class CameraWatch:
         self._config = config
         self._comparer = ImageComparer()
         self._pieces = ImagePieces()
+        self._known_images = KnownImages()
         self._stillness = _Stillness(config.max_same_images)
         self._damage = _Damage()
         self.reset()
@@ -124,9 +126,7 @@ class CameraWatch:
     def reset(self) -> None:
         """Forgets the images so far."""
         self._brightest = 0
-        self._recent_rows: deque[NDArray[np.uint32]] = deque(maxlen=NUM_RECENT)
-        self._known_images: OrderedDict[bytes, None] = OrderedDict()
-        self._latest_image = b""
+        self._known_images.reset()
         self._comparer.reset()
         self._pieces.reset()
         self._num_noise = 0
@@ -145,7 +145,7 @@ class CameraWatch:
             is_damaged: Whether the source says that it is.
         """
         faults = []
-        step = max(1, math.isqrt(image.size // NUM_SAMPLES))
+        step = _prime(math.isqrt(image.size // NUM_SAMPLES))
         row, column = (min(step // 2, side - 1) for side in image.shape)
         sample = image[row::step, column::step].ravel()
         brightest = int(sample.max())
@@ -154,23 +154,26 @@ class CameraWatch:
         top = white or _top(image, self._brightest)
         num_white = np.count_nonzero(sample >= (white or NEAR_TOP * top))
         is_saturated = num_white > self._config.max_saturated * sample.size
-        rows = image[::SUM_ROWS]
+        rows = image[::EVERY_ROW]
         pieces = self._pieces.update(rows, top)
         greatest = white or int(np.iinfo(image.dtype).max)
         is_black = brightest <= self._config.min_bright * greatest
         is_black |= not is_saturated and pieces.contrast <= CONTRAST_SHARE * self._config.min_bright
         change = self._comparer.compare(image, greatest)
-        known_rows, is_repeated, is_back = self._known_rows(rows)
-        is_frozen = self._stillness.update(change, timestamp_ns, is_moving, is_repeated=is_repeated)
-        if pieces.is_noise or not is_repeated:
+        known = self._known_images.update(rows)
+        has_old_parts = self._damage.has_old_parts(known)
+        is_frozen = self._stillness.update(
+            change, timestamp_ns, is_moving, is_repeated=known.is_repeated, has_old_parts=has_old_parts
+        )
+        if pieces.is_noise or not known.is_repeated:
             self._num_noise = self._num_noise + 1 if pieces.is_noise else 0
         is_feigned = self._num_noise >= 2 and is_moving is True
-        if is_frozen or is_feigned or (is_back and is_moving is not False):
+        if is_frozen or is_feigned or (known.is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
-            is_damaged |= self._damage.update(change, pieces, one_value, known_rows, timestamp_ns, is_still=is_still)
+            is_damaged |= self._damage.update(change, pieces, one_value, known, timestamp_ns, is_still=is_still)
         if is_damaged:
             faults.append(GuardFault.DAMAGED)
         if is_saturated:
@@ -178,26 +181,6 @@ class CameraWatch:
         if is_black:
             faults.append(GuardFault.BLACK)
         return faults
-
-    def _known_rows(self, rows: Image) -> tuple[float, bool, bool]:
-        """Share of rows that recent images had, without those of a single value; whether the image was there before.
-
-        Thirdly, whether such an image comes again after others.
-        """
-        sums = np.array([zlib.crc32(row.tobytes()) for row in rows], np.uint32)
-        before, self._latest_image = self._latest_image, sums.tobytes()
-        if self._latest_image in self._known_images:
-            share = int(np.count_nonzero(rows.min(axis=1) < rows.max(axis=1))) / len(rows)
-            return share, True, share > KNOWN_ROWS_SHARE and self._latest_image != before
-        self._known_images[self._latest_image] = None
-        if len(self._known_images) > NUM_KNOWN:
-            self._known_images.popitem(last=False)
-        alike = [sums == recent for recent in self._recent_rows if recent.shape == sums.shape]
-        self._recent_rows.append(sums)
-        known = rows[np.logical_or.reduce(alike)] if alike else rows[:0]
-        if not len(known):
-            return 0.0, False, False
-        return int(np.count_nonzero(known.min(axis=1) < known.max(axis=1))) / len(rows), False, False
 
 
 class _Stillness:
@@ -219,12 +202,19 @@ class _Stillness:
         return self._num_still > 0
 
     def update(
-        self, change: ImageChange | None, timestamp_ns: int, is_moving: bool | None, *, is_repeated: bool = False
+        self,
+        change: ImageChange | None,
+        timestamp_ns: int,
+        is_moving: bool | None,
+        *,
+        is_repeated: bool,
+        has_old_parts: bool,
     ) -> bool:
         """Whether the camera is frozen, by how the next image has changed, or as it repeats an earlier image.
 
         A camera that stands still is not called frozen where our vehicle is known to be slow, nor, where its speed is
-        not known, as long as the noise is new: of an image that was there before it is not.
+        not known, as long as the noise is new: of an image that was there before it is not. A scene has not become
+        calmer where a part of the image is an old one.
         """
         if change is None or timestamp_ns < self._moved_ns:
             self.reset()
@@ -244,7 +234,8 @@ class _Stillness:
             self._moved_ns = timestamp_ns
         else:
             self._num_still += 1
-            self._num_released = self._num_released + 1 if change.strongest > STAYS_STILL_LEVELS else 0
+            is_calmer = change.strongest > STAYS_STILL_LEVELS and not has_old_parts
+            self._num_released = self._num_released + 1 if is_calmer else 0
         is_long = timestamp_ns - self._moved_ns >= MIN_STILL_S * 1e9 * self._max_same
         is_frozen = self._num_still >= self._max_same and is_long
         return is_frozen and is_moving is not False and (is_moving is True or is_repeated or not is_fresh)
@@ -257,6 +248,7 @@ class _Damage:
     """
 
     def __init__(self) -> None:
+        self._usual_ns: int | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -268,7 +260,7 @@ class _Damage:
         change: ImageChange | None,
         pieces: PieceMeasures,
         one_value: float,
-        known_rows: float,
+        known: KnownParts,
         timestamp_ns: int,
         *,
         is_still: bool,
@@ -279,7 +271,7 @@ class _Damage:
             change: What differs from the image before.
             pieces: What the pieces of its rows say.
             one_value: Share of the image with one and the same value.
-            known_rows: Share of the rows that are those of a recent image.
+            known: What of the image was there before.
             timestamp_ns: The time of the image.
             is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
         """
@@ -287,13 +279,15 @@ class _Damage:
             self._forget()
         else:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
-            is_unusual = self._has_unusual_content(change, pieces, one_value)
+            is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
+            is_known = self._known_twice.update(self.has_old_parts(known), timestamp_ns)
             if not is_still:
-                is_unusual |= self._has_old_parts(change, known_rows)
+                is_unusual |= self._has_stuck_tiles(change) or is_known
             if is_unusual or has_edges:
                 self._damaged_ns = timestamp_ns
             if not (is_unusual or is_still):
-                self._learn(change, pieces, one_value, known_rows, timestamp_ns)
+                self._learn(change, pieces, one_value, known)
+                self._usual_ns = timestamp_ns
             elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
                 self._forget()
         return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
@@ -302,62 +296,82 @@ class _Damage:
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat_pieces: deque[float] = deque(maxlen=NUM_RECENT)
-        self._has_flat_pieces = False
+        self._flat_twice = _Twice()
         self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._has_pairs = False
         self._rough: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
-        self._known_rows: deque[float] = deque(maxlen=NUM_RECENT)
-        self._has_known_rows = False
+        self._known_shares: deque[float] = deque(maxlen=NUM_RECENT)
+        self._known_twice = _Twice()
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
-        self._usual_ns: int | None = None
+        self._usual_ns = None
 
-    def _has_unusual_content(self, change: ImageChange, pieces: PieceMeasures, one_value: float) -> bool:
-        """Whether the image itself is not as recent ones are, or the second in a row where one may be so by chance."""
+    def has_old_parts(self, known: KnownParts) -> bool:
+        """Whether parts of the image, but not all of it, were there before, although every image had new noise."""
+        is_noisy = len(self._known_shares) == NUM_RECENT and max(self._known_shares) <= NOISY_KNOWN_SHARE
+        return is_noisy and not known.is_repeated and known.share > KNOWN_SHARE
+
+    def _has_unusual_content(
+        self, change: ImageChange, pieces: PieceMeasures, one_value: float, timestamp_ns: int
+    ) -> bool:
+        """Whether the image itself is not as recent ones are, or the second one where one may be so by chance."""
         is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE) or pieces.share_twice > TWICE_SHARE
         if len(self._repeated) >= 2:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
             is_unusual |= pieces.share_rough > max(self._rough) + ROUGH_SHARE
-        had_flat_pieces, self._has_flat_pieces = self._has_flat_pieces, False
-        if len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE:
-            self._has_flat_pieces = change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
+        is_noisy = len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE
+        has_flat = is_noisy and change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
+        is_unusual |= self._flat_twice.update(has_flat, timestamp_ns)
         had_pairs, self._has_pairs = self._has_pairs, False
         if len(self._pair_ratios) == NUM_RECENT:
             are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
             self._has_pairs = bool(are_fallen.all(axis=0).any())
-        return is_unusual or (had_flat_pieces and self._has_flat_pieces) or (had_pairs and self._has_pairs)
+        return is_unusual or (had_pairs and self._has_pairs)
 
-    def _has_old_parts(self, change: ImageChange, known_rows: float) -> bool:
-        """Whether parts are as before, or as they were earlier, in the second image in a row of those not still."""
-        had_known_rows, self._has_known_rows = self._has_known_rows, False
-        if len(self._known_rows) == NUM_RECENT and max(self._known_rows) <= NOISY_KNOWN_ROWS_SHARE:
-            self._has_known_rows = known_rows > KNOWN_ROWS_SHARE
+    def _has_stuck_tiles(self, change: ImageChange) -> bool:
+        """Whether parts are as before, in the second image in a row of those not still."""
         could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
         if len(self._tile_shares) == NUM_RECENT:
             self._could_be_stuck = _same_tiles(change.tile_shares, np.minimum.reduce(list(self._tile_shares)))
-        are_known = had_known_rows and self._has_known_rows
-        return are_known or int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
+        return int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
 
-    def _learn(
-        self, change: ImageChange, pieces: PieceMeasures, one_value: float, known_rows: float, timestamp_ns: int
-    ) -> None:
-        """Counts an image as usual, but for what would be damage in two images in a row."""
+    def _learn(self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts) -> None:
+        """Counts an image as usual, but for what would be damage in two images."""
         self._repeated.append(change.share_repeated)
         self._flat.append(change.share_flat_rows)
         self._rough.append(pieces.share_rough)
         self._one_value.append(one_value)
-        if not self._has_known_rows:
-            self._known_rows.append(known_rows)
-        if not self._has_flat_pieces:
+        if not self._known_twice.is_latest:
+            self._known_shares.append(known.share)
+        if not self._flat_twice.is_latest:
             self._flat_pieces.append(change.share_flat_pieces)
         if not self._has_pairs:
             self._pair_ratios.append(change.pair_ratios)
         if np.count_nonzero(self._could_be_stuck) < NUM_STUCK_TILES:
             self._tile_shares.append(change.tile_shares)
-        self._usual_ns = timestamp_ns
+
+
+class _Twice:
+    """Whether there were two images of a kind of which one alone may come by chance, with intact ones between or not.
+
+    Attributes:
+        is_latest: Whether the latest image is of the kind.
+    """
+
+    def __init__(self) -> None:
+        self.is_latest = False
+        self._before_ns: int | None = None
+
+    def update(self, is_so: bool, timestamp_ns: int) -> bool:
+        """Whether the next image is of the kind, and another one shortly before it was."""
+        self.is_latest = is_so
+        if not is_so:
+            return False
+        before_ns, self._before_ns = self._before_ns, timestamp_ns
+        return before_ns is not None and 0 < timestamp_ns - before_ns <= TWO_WITHIN_S * 1e9
 
 
 def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -370,6 +384,13 @@ def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDAr
 
 def _has_risen(share: float, recent: deque[float], by: float) -> bool:
     return len(recent) >= 2 and share > statistics.median(recent) + by
+
+
+def _prime(number: int) -> int:
+    """The first prime number from there on; 1 stays. Such a step comes to every phase of a pattern of rows."""
+    while any(number % divisor == 0 for divisor in range(2, math.isqrt(number) + 1)):
+        number += 1
+    return max(1, number)
 
 
 def _top(image: Image, brightest: int) -> int:

@@ -29,7 +29,7 @@ class ImageChange:
         strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds.
         share_changed: Share of the sampled pixels, one of each block, that are not the same as before.
         tile_shares: Shape (8, 8), the same share in each tile of the image; 1 where a tile has no such pixel.
-        share_repeated: Share of the rows, every eighth of them, that are the same as the row below. Noise makes no two
+        share_repeated: Share of the rows, every seventh of them, that are the same as the row below. Noise makes no two
             rows of a camera alike, but where all is black.
         share_flat_rows: Share of the same rows in which all pixels have one value, as where a decoder fills in black.
         share_flat_pieces: The same, of eighths of these rows.

@@ -1,0 +1,102 @@
+"""Whether an image, or a part of it, was there before, pixel by pixel.
+
+Noise makes no two images of a camera alike, nor two pieces of their rows. Where pieces come again, a driver or a
+decoder shows memory that it has not filled anew: whichever part of the image that is, and from whichever image.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.types import Image
+
+NUM_KNOWN = 36
+"""Different images that are known again when one comes back; a driver of V4L2 has at most 32 buffers."""
+
+NUM_ROW_PIECES = 8
+"""Each row is cut into so many pieces, of which each has a checksum of its own."""
+
+COMES_BACK_SHARE = 0.2
+"""An image that comes back has more pieces of more than a single value than this: all images without any are alike."""
+
+WORD_BYTES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class KnownParts:
+    """What of an image was there before.
+
+    Attributes:
+        share: Share of the pieces that recent images had at the same place, without those of a single value.
+        is_repeated: Whether the whole image was there before.
+        is_back: Whether it was, and another one came between.
+    """
+
+    share: float
+    is_repeated: bool
+    is_back: bool
+
+
+class KnownImages:
+    """Keeps checksums of the pieces of the latest different images."""
+
+    def __init__(self) -> None:
+        self._keys = np.zeros(0, np.uint64)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the images so far."""
+        self._known: OrderedDict[bytes, int] = OrderedDict()
+        self._latest = b""
+        self._sums = np.zeros((NUM_KNOWN, 0, 0), np.uint64)
+
+    def update(self, rows: Image) -> KnownParts:
+        """What of the next image is known; `rows` are some of its rows, always the same ones."""
+        words, starts = _words(rows)
+        sums = self._checksums(words, starts)
+        if sums.shape != self._sums.shape[1:]:
+            self._known.clear()
+            self._sums = np.zeros((NUM_KNOWN, *sums.shape), np.uint64)
+        before, self._latest = self._latest, sums.tobytes()
+        if self._latest in self._known:
+            share = float(_is_uneven(words, starts).mean())
+            return KnownParts(share, is_repeated=True, is_back=share > COMES_BACK_SHARE and self._latest != before)
+        num = len(self._known)
+        is_known = (self._sums[:num] == sums).any(axis=0)
+        place = num if num < NUM_KNOWN else self._known.popitem(last=False)[1]
+        self._known[self._latest] = place
+        self._sums[place] = sums
+        share = float((is_known & _is_uneven(words, starts)).mean()) if is_known.any() else 0.0
+        return KnownParts(share, is_repeated=False, is_back=False)
+
+    def _checksums(self, words: NDArray[np.uint64], starts: NDArray[np.intp]) -> NDArray[np.uint64]:
+        """By row and piece, a sum of the words times odd numbers; all of it modulo 2 to the power of 64."""
+        if len(self._keys) != words.shape[1]:
+            halves = np.random.default_rng(0).integers(0, 1 << 63, words.shape[1], np.uint64)
+            self._keys = 2 * halves + np.uint64(1)
+        sums: NDArray[np.uint64] = np.add.reduceat(words * self._keys, starts, axis=1)
+        return sums
+
+
+def _words(rows: Image) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+    """The rows in words of eight bytes, the last pixel repeated to fill one; where in a row its pieces begin."""
+    width_px, word_px = rows.shape[1], WORD_BYTES // rows.itemsize
+    num_words = -(-width_px // word_px)
+    filled = np.empty((len(rows), num_words * word_px), rows.dtype)
+    filled[:, :width_px] = rows
+    filled[:, width_px:] = rows[:, -1:]
+    num_pieces = min(NUM_ROW_PIECES, num_words)
+    return filled.view(np.uint64), np.arange(num_pieces) * num_words // num_pieces
+
+
+def _is_uneven(words: NDArray[np.uint64], starts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which pieces have more than a single value: more than one word, so that a pattern without noise has one, too."""
+    has_changed = np.zeros(words.shape, np.bool_)
+    has_changed[:, 1:] = words[:, 1:] != words[:, :-1]
+    has_changed[:, starts] = False
+    is_uneven: NDArray[np.bool_] = np.logical_or.reduceat(has_changed, starts, axis=1)
+    return is_uneven
