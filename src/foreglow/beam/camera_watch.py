@@ -79,10 +79,10 @@ PAIR_SHARES = np.array([[0.85], [0.5]])
 Measured: never both below 1.3 times these when moving; rows that are repeated behind encoders: .04 to .77, 0 to .38."""
 
 KNOWN_SHARE, NOISY_KNOWN_SHARE = 0.1, 0.02
-"""Damage: in two images, more than this share of the pieces of rows are, pixel by pixel, those of earlier images, where
-none of the recent images had more than the second number: each had noise. So it is where a decoder or a driver fills
-only a part of an old buffer. Pieces of a single value do not count. Measured: 0 in the drive that ships, raw, MJPEG, 8
-Mbit/s, and at a quarter of its light; where noise is not transmitted, .6."""
+"""Damage: in two images in a row, more than this share of the pieces of rows are, pixel by pixel, those of earlier
+images, where none of the recent images had more than the second number: each had noise. So it is where a decoder or a
+driver fills only a part of an old buffer. Pieces of a single value do not count. Measured: 0 in the drive that ships,
+raw, MJPEG, 8 Mbit/s, and at a quarter of its light; .6 in single images at 1 Mbit/s, for which little is sent."""
 
 TWO_WITHIN_S = 0.5
 """Two images of those that are damage only if there are two of a kind: intact ones may come between."""
@@ -280,9 +280,9 @@ class _Damage:
         else:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
             is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
-            is_known = self._known_twice.update(self.has_old_parts(known), timestamp_ns)
             if not is_still:
-                is_unusual |= self._has_stuck_tiles(change) or is_known
+                had_old_parts, self._had_old_parts = self._had_old_parts, self.has_old_parts(known)
+                is_unusual |= self._has_stuck_tiles(change) or (had_old_parts and self._had_old_parts)
             if is_unusual or has_edges:
                 self._damaged_ns = timestamp_ns
             if not (is_unusual or is_still):
@@ -302,7 +302,8 @@ class _Damage:
         self._rough: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._known_shares: deque[float] = deque(maxlen=NUM_RECENT)
-        self._known_twice = _Twice()
+        self._single_share = 0.0
+        self._had_old_parts: bool = False
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns = None
@@ -344,8 +345,11 @@ class _Damage:
         self._flat.append(change.share_flat_rows)
         self._rough.append(pieces.share_rough)
         self._one_value.append(one_value)
-        if not self._known_twice.is_latest:
-            self._known_shares.append(known.share)
+        if self._had_old_parts:  # of a fault the first; of an encoder that sends next to nothing of some images, alone
+            self._single_share = known.share
+        else:
+            self._known_shares.append(max(known.share, self._single_share))
+            self._single_share = 0.0
         if not self._flat_twice.is_latest:
             self._flat_pieces.append(change.share_flat_pieces)
         if not self._has_pairs:
