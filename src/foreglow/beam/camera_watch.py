@@ -249,6 +249,7 @@ class _Damage:
 
     def __init__(self) -> None:
         self._usual_ns: int | None = None
+        self._had_old_parts = False
         self.reset()
 
     def reset(self) -> None:
@@ -281,7 +282,8 @@ class _Damage:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
             is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
             if not is_still:
-                had_old_parts, self._had_old_parts = self._had_old_parts, self.has_old_parts(known)
+                had_old_parts = self._had_old_parts
+                self._had_old_parts = self.has_old_parts(known)
                 is_unusual |= self._has_stuck_tiles(change) or (had_old_parts and self._had_old_parts)
             if is_unusual or has_edges:
                 self._damaged_ns = timestamp_ns
@@ -303,7 +305,7 @@ class _Damage:
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._known_shares: deque[float] = deque(maxlen=NUM_RECENT)
         self._single_share = 0.0
-        self._had_old_parts: bool = False
+        self._had_old_parts = False
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns = None
