@@ -90,7 +90,12 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         if name.endswith("num_batches_tracked"):
             continue
         value = state.get(name)
-        if not isinstance(value, torch.Tensor) or value.layout != torch.strided or not value.dtype.is_floating_point:
+        if (
+            not isinstance(value, torch.Tensor)
+            or value.is_meta
+            or value.layout != torch.strided
+            or not value.dtype.is_floating_point
+        ):
             found = "nothing" if value is None else getattr(value, "dtype", type(value).__name__)
             raise ValueError(f"{path}: {name}: expected a float tensor of shape {tuple(expected.shape)}, got {found}")
         if value.shape != expected.shape:
