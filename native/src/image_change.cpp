@@ -71,8 +71,10 @@ public:
           here_(above_.size()) {}
 
     void take(std::int64_t y) {
-        if (y % row_step == 0 && y + 1 < image_.height_px) find_repetition(y);
-        if (y % row_step == row_step / 2) find_flat_pieces(y);
+        if (y % row_step == row_step / 2) {  // in the middle, so that a share of the rows is that of the image
+            if (y + 1 < image_.height_px) find_repetition(y);
+            find_flat_pieces(y);
+        }
         compare_with_above(y);
     }
 

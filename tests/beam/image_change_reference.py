@@ -29,7 +29,7 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
     edges, other_edges = (
         num_edges(wide, first_px, unit) + num_edges(wide.T, first_px, unit) for first_px in (SQUARE_PX, SQUARE_PX // 2)
     )
-    rows = now[: now.shape[0] - 1 : ROW_STEP], now[1::ROW_STEP]
+    rows = now[ROW_STEP // 2 : now.shape[0] - 1 : ROW_STEP], now[ROW_STEP // 2 + 1 :: ROW_STEP]
     return {
         "strongest": np.sort(changes, axis=None)[-1 - changes.size // RARE],
         "tiles": tiles,

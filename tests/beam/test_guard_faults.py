@@ -119,7 +119,7 @@ def test_same_image_again(most: int) -> None:
     assert not next_check(guard, frame_at(31)).faults
 
 
-@pytest.mark.parametrize(("share", "is_low"), [(0.18, False), (0.3, True), (1.0, True)])
+@pytest.mark.parametrize(("share", "is_low"), [(0.2, False), (0.3, True), (1.0, True)])
 def test_saturated_image(share: float, is_low: bool) -> None:
     image = IMAGES[1].copy()
     image[: round(960 * share)] = 255

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from foreglow.runs.frame_line import FrameLineModel
 from foreglow.runs.frames_file import (
-    FrameLineModel,
     beam_entry,
     frame_to_line,
     has_tracks,

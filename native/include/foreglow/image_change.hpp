@@ -32,8 +32,8 @@ struct ImageChange {
 // Blocks have 8 x 8 pixels; what is left over at the right and at the bottom is ignored, and an image that is smaller
 // than a block is one. From each block one pixel is compared, too. An edge is a segment of 16 pixels between two
 // squares of 16 x 16, across which the change differs by more than 10 grey levels in the mean. A row repeats if it is
-// the same as the one below; every seventh one is looked at. Every seventh row, the fourth one first, is looked at for
-// being flat, and in pairs of rows about 160 columns.
+// the same as the one below. For that and for being flat, every seventh row is looked at, the fourth one first, and in
+// pairs of rows about 160 columns.
 class ImageComparer {
 public:
     // Returns whether there was an image before, of the same size and type; only then `change` is written.

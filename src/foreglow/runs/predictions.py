@@ -19,7 +19,7 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 from foreglow.config import read_config
 from foreglow.datasets.json_files import read_json
 from foreglow.geometry import Floats
-from foreglow.runs.frames_file import Box, FrameLine, FrameLineModel
+from foreglow.runs.frame_line import Box, FrameLine, FrameLineModel
 from foreglow.runs.json_lines import Whole, checked, read_lines
 from foreglow.types import LIGHT_KINDS
 from foreglow.whole_files import write_atomic

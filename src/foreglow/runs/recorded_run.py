@@ -18,7 +18,8 @@ from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.datasets.pvdn import is_pvdn
 from foreglow.outputs import check_kinds, check_outputs, exists
-from foreglow.runs.frames_file import FrameLine, FrameLineModel, line_to_result
+from foreglow.runs.frame_line import FrameLine, FrameLineModel
+from foreglow.runs.frames_file import line_to_result
 from foreglow.runs.json_lines import read_lines
 from foreglow.runs.origin import digests_of, origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary

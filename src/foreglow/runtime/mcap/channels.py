@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from foreglow.datasets.bags import FRAME_TYPE, FrameMessage
-from foreglow.runs.frames_file import FrameLine
+from foreglow.runs.frame_line import FrameLine
 
 IMAGE_TOPIC = "/camera/image"
 CALIBRATION_TOPIC = "/camera/calibration"

@@ -90,14 +90,18 @@ def test_a_tracker_waits_after_a_single_frame(results: TimeBenefitResults) -> No
     assert results.method("human").plausibility_s == ()
 
 
-def test_more_frames_confirm_later_and_no_more(results: TimeBenefitResults) -> None:
-    assert set(results.curves) == set(RULES)
-    frames = results.curves["frames"]
+def test_more_frames_confirm_later_and_less(tmp_path: Path) -> None:
+    """Where every box is accepted, so that no trained model decides it."""
+    everything = preset("baseline").changed("classifier", model=make_model(tmp_path / "model.onnx"))
+    curves = run_experiment([PVDN(shipped_drive())], everything).curves
+    assert set(curves) == set(RULES)
+    frames = curves["frames"]
     numbers = [frame.false.num_plausible for frame in frames if frame.false is not None]
     times = [frame.benefit.detected_s[0] for frame in frames]
     assert numbers == sorted(numbers, reverse=True)
     assert times == sorted(times)
     assert times[0] < times[-1]
+    assert numbers[0] > numbers[-1]
     assert any(frame.benefit.name == FIVE_FRAMES for frame in frames)
 
 
