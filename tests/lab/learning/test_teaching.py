@@ -15,28 +15,27 @@ from foreglow.classifier import FEATURES, InputSpec  # noqa: E402
 from foreglow.lab.learning.batches import kind_targets  # noqa: E402
 from foreglow.lab.learning.model_export import write_model  # noqa: E402
 from foreglow.lab.learning.networks import CompactNetwork, RelatedNetwork  # noqa: E402
-from foreglow.lab.learning.recipes import Recipe, changed  # noqa: E402
+from foreglow.lab.learning.recipes import changed  # noqa: E402
 from foreglow.lab.learning.samples import Samples  # noqa: E402
 from foreglow.lab.learning.teaching import read_teachers, taught_kinds  # noqa: E402
 from foreglow.lab.learning.training import score_samples, train  # noqa: E402
 from foreglow.types import KINDS  # noqa: E402
+from tests.lab.learning.test_related import RECIPE as RELATED  # noqa: E402
 
 pytestmark = pytest.mark.torch
 
 ALONE = InputSpec(32, 2, None, 9, None)
-SPEC = dataclasses.replace(ALONE, num_features=len(FEATURES), together=True)
-RECIPE = Recipe(
-    network="related",
-    inputs=SPEC,
-    epochs=8,
-    batch_size=32,
-    optimiser="adamw",
-    learning_rate=0.003,
-    weight_decay=0.0,
-    schedule="cosine",
-    kinds=True,
-    positive_weight="equal",
-    calibration="none",
+SPEC = RELATED.inputs
+RECIPE = changed(
+    RELATED,
+    {
+        "epochs": 8,
+        "batch_size": 32,
+        "learning_rate": 0.003,
+        "kinds": True,
+        "calibration": "none",
+        "augmentation": {"flip": 0.0, "feature_noise": 0.0},
+    },
 )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -21,12 +22,11 @@ from foreglow.lab.learning.recipes import RECIPES
 from foreglow.lab.learning.samples import Samples, joined
 from foreglow.lab.learning.scores import Calibrator, fit_calibrator
 from foreglow.lab.learning.training import score_samples
-from foreglow.lab.learning.training_run import labelled_samples
+from foreglow.lab.learning.training_run import NUM_COMPARED, labelled_samples
 from foreglow.provenance import provenance
 
 _RECIPE = RECIPES["foreglow"]
 _CPU = torch.device("cpu")
-_NUM_COMPARED = 400
 
 
 def join(alone: Path, related: Path, val: Samples, out: Path) -> Calibrator:
@@ -40,19 +40,23 @@ def join(alone: Path, related: Path, val: Samples, out: Path) -> Calibrator:
     """
     inputs = _RECIPE.inputs
     network = FoldedBothNetwork(inputs.num_channels, inputs.num_features, _RECIPE.num_outputs)
-    for path, recipe, made in ((alone, "compact", FoldedNetwork), (related, "related", FoldedRelatedNetwork)):
-        start = read_model(path)
-        if not (type(start.network) is made and start.inputs == RECIPES[recipe].inputs and start.has_kinds):
-            raise ValueError(f"{path}: expected a model of the recipe {recipe}, as it is")
-        setattr(network, "alone" if recipe == "compact" else "related", start.network)
+    network.alone, network.related = _member(alone, "compact"), _member(related, "related")
     is_known = val.labels != IGNORED
     logits = score_samples(network, val, _CPU)
     calibrator = fit_calibrator(logits[is_known], val.labels[is_known], _RECIPE.calibration)
     done = calibrated(network, calibrator)
     write_model(done, inputs, out, {name: str(value) for name, value in provenance().items() if name != "version"})
-    few = val.whole_sets(_NUM_COMPARED)
+    few = val.whole_sets(NUM_COMPARED)
     largest_difference(out, few, score_samples(done, few, _CPU))
     return calibrator
+
+
+def _member(path: Path, recipe: str) -> Any:
+    """The network of a model of a recipe whose inputs are as they are there."""
+    start, made = read_model(path), FoldedRelatedNetwork if recipe == "related" else FoldedNetwork
+    if not (type(start.network) is made and start.inputs == RECIPES[recipe].inputs and start.has_kinds):
+        raise ValueError(f"{path}: expected a model of the recipe {recipe}, with its inputs, that tells kinds of light")
+    return start.network
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

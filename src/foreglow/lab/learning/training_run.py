@@ -36,7 +36,8 @@ MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.j
 
 LABELS = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
 
-_NUM_COMPARED = 400
+NUM_COMPARED = 400
+"""Validation samples, about, on which an exported model is compared with its network."""
 
 
 def train_model(
@@ -150,7 +151,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
     made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
     about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **made_with}
     write_model(network, recipe.inputs, folder / MODEL, about)
-    chosen = val.whole_sets(_NUM_COMPARED)
+    chosen = val.whole_sets(NUM_COMPARED)
     difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
     weights = io.BytesIO()
     torch.save(network.state_dict(), weights)
