@@ -47,7 +47,7 @@ class FoldedRelatedNetwork(FoldedNetwork, RelatedNetwork):
 
 
 class FoldedBothNetwork(BothNetwork):
-    """The mean of both, which learns further as a whole."""
+    """The mean of both, which learns further as a whole: in training it computes what it does in use, too."""
 
     def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
         super().__init__(num_channels, num_features, num_outputs)
@@ -55,8 +55,8 @@ class FoldedBothNetwork(BothNetwork):
         self.related = FoldedRelatedNetwork(num_channels, num_features, num_outputs)
 
     def learnt(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> tuple[Tensor, ...]:
-        """The mean, so that neither network changes for the sake of samples on which the mean is right."""
-        return (torch.stack(super().learnt(crops, features, sizes)).mean(0),)
+        """What it writes, so that neither network changes for the sake of samples on which both together are right."""
+        return (self(crops, features, sizes),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
