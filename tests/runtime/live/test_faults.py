@@ -168,6 +168,7 @@ def test_bus_whose_driver_hangs(drive: list[Frame]) -> None:
             if frame.timestamp_ns == drive[END].timestamp_ns:
                 is_over.set()
 
+    before = set(threading.enumerate())  # another test's thread may still wait for a driver that hangs
     source = ScriptedCamera(drive[:60], is_live=True)
     hanging, second = Hanging(), Lamps()
     configuration, keeper = live_config(), Ending()
@@ -180,7 +181,9 @@ def test_bus_whose_driver_hangs(drive: list[Frame]) -> None:
     assert len(during) >= 3
     assert all(one.mode == BeamMode.LOW for one in during)
     assert hanging.is_low[-1]
-    assert not any(thread.name.startswith("live ") for thread in threading.enumerate())
+    for thread in set(threading.enumerate()) - before:
+        thread.join(10.0)
+        assert not thread.is_alive(), thread.name
 
 
 def test_bus_whose_driver_never_comes_back_does_not_keep_the_loop(drive: list[Frame]) -> None:
