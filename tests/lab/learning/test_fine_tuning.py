@@ -23,7 +23,7 @@ from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import fine_tuning
 from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedBothNetwork, read_model
-from foreglow.lab.learning.networks import NETWORKS, ArtifactNetwork, BothNetwork, learnt_logits
+from foreglow.lab.learning.networks import NETWORKS, ArtifactNetwork, BothNetwork, learnt_logits, members_of
 from foreglow.lab.learning.old_samples import (
     WIDEST,
     HeldOut,
@@ -109,13 +109,20 @@ def test_a_model_becomes_the_same_network_again(tmp_path: Path, spec: InputSpec,
     np.testing.assert_allclose(again, logits_of(network, arrays), atol=1e-4)
 
 
-def test_the_mean_of_two_networks_learns_further_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_two_networks_the_first_learns_further_for_their_mean(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(BothNetwork, "LEAST_LOGIT", 1.6)  # some boxes are left to the first network
     model_at(tmp_path / "model.onnx", WIDEST, 5, network="both")
     network = read_model(tmp_path / "model.onnx").network
+    members = members_of(network)
     crops, features = (torch.from_numpy(array) for array in given(WIDEST).values())
     (learnt,) = learnt_logits(network.train(), crops, features, [5])
     np.testing.assert_allclose(learnt.detach().numpy(), logits_of(network, given(WIDEST)), atol=1e-5)
+    learnt.square().sum().backward()  # type: ignore[no-untyped-call]
+    first, second = ({name for name, each in part.named_parameters() if each.grad is not None} for part in members)
+    assert {"body.0.weight", "hidden.weight", "last.bias"} <= first
+    assert not second
 
 
 def test_the_model_that_ships_goes_on_too() -> None:

@@ -47,15 +47,19 @@ class FoldedRelatedNetwork(FoldedNetwork, RelatedNetwork):
 
 
 class FoldedBothNetwork(BothNetwork):
-    """The mean of both, which learns further as a whole: in training it computes what it does in use, too."""
+    """The mean of both; in training it computes what it does in use, too.
+
+    Only the first network learns further, for the mean of both. How lamps stand to one another is learnt from many
+    roads; from a user's few images, the second network would forget more than it gains.
+    """
 
     def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
         super().__init__(num_channels, num_features, num_outputs)
         self.alone = FoldedNetwork(num_channels, self.NUM_FEATURES_ALONE, num_outputs)
-        self.related = FoldedRelatedNetwork(num_channels, num_features, num_outputs)
+        self.related = FoldedRelatedNetwork(num_channels, num_features, num_outputs).requires_grad_(False)
 
     def learnt(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> tuple[Tensor, ...]:
-        """What it writes, so that neither network changes for the sake of samples on which both together are right."""
+        """What it writes, so that nothing changes for the sake of samples on which both together are right."""
         return (self(crops, features, sizes),)
 
 
