@@ -289,7 +289,7 @@ def _check_pairs(pairs: list[tuple[str, Any]]) -> None:
     check_each_once([key for key, _ in pairs], "keys")
 
 
-_KEYS = json.JSONDecoder(object_pairs_hook=_check_pairs, parse_int=float)  # an int of many digits is an error
+_KEYS = json.JSONDecoder(object_pairs_hook=_check_pairs)
 
 
 def check_json_keys(data: bytes | str, origin: str) -> None:
