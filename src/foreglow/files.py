@@ -155,6 +155,20 @@ def check_each_once(values: Iterable[Path | str], field: str) -> None:
         seen.add(key)
 
 
+def check_folder(path: Path, expected: str) -> None:
+    """Passes a folder.
+
+    Raises:
+        FileNotFoundError: If there is nothing; the message ends with what was `expected`.
+        ValueError: If it is something else.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such folder, expected {expected}")
+    if not path.is_dir():
+        kind = _KINDS.get(stat.S_IFMT(path.stat().st_mode), "a file")
+        raise ValueError(f"{path}: expected {expected}, is {kind} and no folder")
+
+
 def check_file(path: Path, max_bytes: float = math.inf) -> None:
     """Passes a regular file of at most `max_bytes`; opening another, such as a pipe, may wait for ever.
 

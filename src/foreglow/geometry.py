@@ -36,7 +36,7 @@ MAX_REPROJECTION = 1e-6
 distortion folds over there."""
 
 NUM_CHECKED_NODES = 33
-"""Pixels a side, corners included, at which the distortion of a calibration is undone before anything is done with it."""
+"""Pixels a side, corners included, at which the distortion of a calibration is undone when it is read."""
 
 
 def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:

@@ -9,7 +9,17 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.config import FrozenModel
-from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, Camera, Floats, MountSigmas, Pose, check_centre, check_distortion, rotation
+from foreglow.geometry import (
+    MAX_DISTORTION,
+    MAX_FOCAL_PX,
+    Camera,
+    Floats,
+    MountSigmas,
+    Pose,
+    check_centre,
+    check_distortion,
+    rotation,
+)
 
 # TOML has lists where Python has tuples; what is in them stays strict.
 Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]

@@ -386,6 +386,20 @@ def test_a_model_of_other_boxes(drives: Path, tmp_path: Path) -> None:
     assert f"expected --config {tmp_path / 'config.toml'} with --from" in told
 
 
+def test_another_recipe_is_refused_before_samples_are_made(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model_at(tmp_path / "start.onnx", WIDEST, 5)
+    start = read_model(tmp_path / "start.onnx")
+    begun = fine_tuning.fine_tuning_recipe(start).model_dump(mode="json") | {"start": start.digest, "seed": 9}
+    (tmp_path / "mine").mkdir()
+    write_checkpoint(tmp_path / "mine", Checkpoint(begun, {}, {}, {}))
+    monkeypatch.setattr(fine_tuning, "labelled_samples", pytest.fail)
+    command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", tmp_path / "mine", "--device", "cpu"]
+    told = complaint(*command, "--config", drives.parent / "config.toml")
+    assert "checkpoint.pt: seed: expected that of the training begun here, 9, got 1" in told
+
+
 def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
     out = tmp_path / "mine"
