@@ -21,6 +21,7 @@ from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import fine_tuning
+from foreglow.lab.learning.checkpoints import Checkpoint, write_checkpoint
 from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedBothNetwork, read_model
 from foreglow.lab.learning.networks import NETWORKS, ArtifactNetwork, BothNetwork, learnt_logits

@@ -37,7 +37,7 @@ MAX_DBC_BYTES = 4 * MIB
 MAX_MESSAGE_BYTES = 4096
 """Longest message of a DBC: one of CAN FD has 64 bytes, one of several frames 1785."""
 
-_UNKNOWN = re.compile(r"(?i)\bSNA\b|not[ _]?avail|unavail|invalid|ungueltig|(?<![a-z])(init|fehler|error)(?![a-z])")
+_UNKNOWN = re.compile(r"(?i)\bSNA\b|not[ _]?avail|unavail|invalid|ungueltig|^(init|fehler|error)$")
 """Names in a value table for codes that are no value, such as all ones where a sensor has failed."""
 
 MAX_MULTIPLEX_VALUES = 65_536
