@@ -171,7 +171,8 @@ def check_distortion(
     """
     if any(distortion):
         camera = Camera(*size_px, focal_px, centre_px, distortion, Pose(np.zeros(3), np.eye(3)))
-        camera.node_rays(*(np.linspace(0.0, side_px, NUM_CHECKED_NODES) for side_px in size_px), field)
+        columns_px, rows_px = (np.linspace(0.0, side_px, NUM_CHECKED_NODES) for side_px in size_px)
+        camera.node_rays(columns_px, rows_px, field)
 
 
 @dataclass(frozen=True)

@@ -249,9 +249,7 @@ def test_the_rest_of_a_command_is_not_sent_when_its_driver_hung(monkeypatch: pyt
         sent.append(message.arbitration_id)
 
     monkeypatch.setattr(bus._bus, "send", send)
-    with pytest.raises(
-        OSError, match=r"foreglow-hanging: expected a bus that accepts a command within 0\.15 s"
-    ):
+    with pytest.raises(OSError, match=r"foreglow-hanging: expected a bus that accepts a command within 0\.15 s"):
         bus.send(command_at(0))
     assert sent == list(LEVELS_IDS[:3])
     bus.send(command_at(PERIOD, 0.0))  # the next one is whole
