@@ -8,11 +8,23 @@ import re
 import socket
 import subprocess
 import sys
+import typing
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from annotated_types import Le, Lt
+from pydantic.fields import FieldInfo
 
+from foreglow.calibration.ros import _File as RosCalibration
+from foreglow.calibration.values import Intrinsics, Mount
+from foreglow.config import FrozenModel, PipelineConfig
+from foreglow.datasets.vehicle_logs.mapping import CanMapping
+from foreglow.lab.learning.recipes import Recipe
+from foreglow.lab.simulation.camera.profile import CameraProfile
+from foreglow.lab.simulation.labels.production import ProductionConfig
+from foreglow.lab.simulation.scenes.scene import Scene
 from tests import bounded_reads
 from tests.bombs import BOMBS
 
@@ -76,3 +88,26 @@ def test_the_table_has_the_numbers_of_the_code() -> None:
 
 def test_every_reader_has_a_bomb() -> None:
     assert {reader for reader, *_ in BOMBS.values()} | {"cluster"} == set(bounded_reads.READERS)
+
+
+def unlimited(annotation: Any, limits: tuple[Any, ...], field: str) -> Iterator[str]:
+    """The whole numbers in a field, and in the models in it, that have no upper limit."""
+    inner = [part for limit in limits for part in (limit.metadata if isinstance(limit, FieldInfo) else [limit])]
+    if annotation is int and not any(isinstance(limit, Le | Lt) for limit in inner):
+        yield field
+    elif isinstance(annotation, type) and issubclass(annotation, FrozenModel):
+        for name, known in annotation.model_fields.items():
+            yield from unlimited(known.annotation, tuple(known.metadata), f"{field}.{name}")
+    else:
+        parts = typing.get_args(annotation)
+        is_annotated = typing.get_origin(annotation) is typing.Annotated
+        for part in parts[:1] if is_annotated else parts:
+            yield from unlimited(part, limits + parts[1:] if is_annotated else limits, field)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [PipelineConfig, Recipe, Scene, CameraProfile, ProductionConfig, CanMapping, Intrinsics, Mount, RosCalibration],
+)
+def test_every_whole_number_that_a_user_writes_has_an_upper_limit(model: type[FrozenModel]) -> None:
+    assert list(unlimited(model, (), model.__name__)) == []

@@ -11,6 +11,7 @@ import os
 import resource
 import subprocess
 import sys
+from collections.abc import Callable
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -20,7 +21,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from foreglow.files import fields_to_json, json_text, read_text, to_json, write_json_results
+from foreglow.datasets.json_files import parse_json, read_json
+from foreglow.files import fields_to_json, json_text, read_plain_json, read_text, to_json, write_json_results
 from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
 
 
@@ -205,6 +207,28 @@ def test_a_value_that_json_cannot_hold_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Unable to serialize"):
         write_json_results(tmp_path / "results.json", object())
     assert not list(tmp_path.iterdir())
+
+
+class Labels(BaseModel):
+    labels: dict[str, int]
+
+
+@pytest.mark.parametrize("text", ['{"labels": {"a": 1, "b": 2, "a": 1}}', '\ufeff{"labels": {"b": 2}, "a": 1, "a": 1}'])
+def test_a_key_that_comes_twice_in_json_is_refused(tmp_path: Path, text: str) -> None:
+    """The last one counted, silently."""
+    path = tmp_path / "labels.json"
+    path.write_text(text)
+    words = r"labels\.json: (line 1: )?keys: expected each once, a comes twice"
+    reads: tuple[Callable[[], Any], ...] = (
+        lambda: read_plain_json(path),
+        lambda: read_json(path, Labels),
+        lambda: parse_json(text.removeprefix("\ufeff"), Labels, str(path)),
+    )
+    for read in reads:
+        with pytest.raises(ValueError, match=words):
+            read()
+    path.write_text(f'[{{"a": 1}}, {{"a": {"9" * 4000}}}]')
+    assert len(read_plain_json(path)) == 2
 
 
 def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:

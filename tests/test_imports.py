@@ -49,7 +49,7 @@ ALLOWED: dict[str, set[str]] = {
     | STAGES
     | BASES
     | {"calibration", "maps", "folder_lock", "outputs", "pipeline", "datasets", "runs"},
-    "display": VALUES | {"files", "whole_files", "datasets", "runs", "runtime"},
+    "display": VALUES | {"files", "whole_files", "plugins", "datasets", "runs", "runtime"},
     "folder_lock": set(),
     "outputs": {"files", "whole_files", "datasets"},
     "inputs": {"files", "outputs"},

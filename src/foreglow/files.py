@@ -155,6 +155,20 @@ def check_each_once(values: Iterable[Path | str], field: str) -> None:
         seen.add(key)
 
 
+def check_folder(path: Path, expected: str) -> None:
+    """Passes a folder.
+
+    Raises:
+        FileNotFoundError: If there is nothing; the message ends with what was `expected`.
+        ValueError: If it is something else.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such folder, expected {expected}")
+    if not path.is_dir():
+        kind = _KINDS.get(stat.S_IFMT(path.stat().st_mode), "a file")
+        raise ValueError(f"{path}: expected {expected}, is {kind} and no folder")
+
+
 def check_file(path: Path, max_bytes: float = math.inf) -> None:
     """Passes a regular file of at most `max_bytes`; opening another, such as a pipe, may wait for ever.
 
@@ -285,19 +299,40 @@ def check_json(data: bytes | str, origin: str) -> None:
         raise ValueError(f"{origin}: expected JSON of at most {MAX_JSON_VALUES} values, got {num}")
 
 
+def _check_pairs(pairs: list[tuple[str, Any]]) -> None:
+    check_each_once([key for key, _ in pairs], "keys")
+
+
+_KEYS = json.JSONDecoder(object_pairs_hook=_check_pairs)
+
+
+def check_json_keys(data: bytes | str, origin: str) -> None:
+    """Passes JSON text, which is known to be such, in which no object has a key twice, of which the last would count.
+
+    Raises:
+        ValueError: If one has; the message begins with `origin`.
+    """
+    try:
+        _KEYS.decode(data.decode() if isinstance(data, bytes) else data)
+    except ValueError as error:
+        raise ValueError(f"{origin}: {error}") from None
+
+
 def read_plain_json(path: Path) -> Any:
     """What the JSON file `path` holds, as lists, dicts, texts and numbers.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no JSON, or beyond a bound; the message names the path.
+        ValueError: If it is no JSON, has a key twice, or is beyond a bound; the message names the path.
     """
-    data = read_bytes(path, MAX_JSON_BYTES)
+    data = read_bytes(path, MAX_JSON_BYTES).removeprefix(codecs.BOM_UTF8)
     check_json(data, str(path))
     try:
-        return from_json(data.removeprefix(codecs.BOM_UTF8))
+        value = from_json(data)
     except ValueError as error:
         raise ValueError(f"{path}: expected JSON: {error}") from None
+    check_json_keys(data, str(path))
+    return value
 
 
 _SHORT = reprlib.Repr()

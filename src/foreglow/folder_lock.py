@@ -44,7 +44,7 @@ class FolderLock:
             OSError: If it cannot be made; the message names the path.
             ValueError: If another run writes into it.
         """
-        self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
+        self._made = [folder for folder in (path.absolute(), *path.absolute().parents) if not folder.exists()]
         check_folder(path)
         path.mkdir(parents=True, exist_ok=True)
         self._given, self._path, self._stat = path, path.resolve(), path.stat()

@@ -196,6 +196,17 @@ def words_of(error: BaseException) -> str:
     return " ".join(_text_of(error).split())
 
 
+def printable(text: str) -> str:
+    r"""`text` with its control characters written out: a terminal would carry out those of a device's name.
+
+    >>> print(printable("cam\x1b[2J\x07 ä"))
+    cam\x1b[2J\x07 ä
+    """
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode() for character in text
+    )
+
+
 def first_line_of(error: BaseException) -> str:
     r"""The first line of what an error says, if it says something: libraries go on with advice for their developers.
 

@@ -90,7 +90,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     if path.exists() and not (path.is_file() or path.is_dir()):  # a folder cannot be overwritten anyway
         raise OSError(f"{path}: expected a regular file to overwrite, got a device, a pipe or a socket")
     _clear(path.parent)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
+    whole = path.absolute()  # a plug-in may go to another folder meanwhile
+    temporary = whole.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
     try:
         with naming(path, in_place_of=temporary):
             with temporary.open("wb") as held:
@@ -100,7 +101,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 if block is not None:
                     block.add(path, temporary, held)
             if block is None:
-                temporary.replace(path)
+                temporary.replace(whole)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -163,7 +164,7 @@ class _Block:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         for path, temporary in self._temporaries.items():
             with naming(path, in_place_of=temporary):
-                temporary.replace(path)
+                temporary.replace(temporary.with_name(path.name))
 
     def discard(self) -> None:
         for temporary in self._temporaries.values():

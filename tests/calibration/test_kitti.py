@@ -81,6 +81,7 @@ def test_a_mount_is_needed(tmp_path: Path) -> None:
         ("S_00: 1.392000e+03", "S_00: 1392.5", r"S_00: expected a width and a height in whole pixels, got 1392\.5"),
         ("S_00: 1.392000e+03", "S_00: -1392", "S_00: expected a width and a height"),
         ("6.900e+02", "1e20", r"K_00: cx, cy: expected a principal point .* got \(1e\+20, "),
+        ("D_00: -3.728e-01", "D_00: -3", r"D_00: expected one that can be undone everywhere in the image, \[-3\.0, "),
         ("D_00: -3.728e-01", "D_00: 1e7", r"D_00: expected coefficients of at most 1e\+06, got \[10000000\.0"),
         ("S_00: 1.392000e+03", "S_00: 1e300", "S_00: expected a width and a height of at most 1048576 px"),
         ("D_00:", "K_00: 1\nD_00:", r"calib\.txt: entries: expected each once, K_00 comes twice"),

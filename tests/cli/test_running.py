@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -153,6 +154,22 @@ def test_bad_vehicle_data(tmp_path: Path) -> None:
     line = complaint(*run, "--calibration", broken)
     assert "broken.toml: image: expected the frames' size or its multiple, 1280x960 px, got 640x960 px" in line
     assert not (tmp_path / "out").exists()
+
+
+def test_a_distortion_that_cannot_be_undone_is_refused_by_every_command(tmp_path: Path) -> None:
+    """`run` named no file, and `live` went on in low beam."""
+    images, calibration = plain_drive(tmp_path / "images")
+    folding, out = tmp_path / "folding.toml", tmp_path / "out"
+    folding.write_text(re.sub(r"distortion = \[\s*[^,]+", "distortion = [-3.0", calibration.read_text()))
+    image = next(path for path in sorted(images.rglob("*")) if path.is_file())
+    for command in (
+        ("run", images, "--out", out, "--calibration", folding),
+        ("live", images, "--out", out, "--calibration", folding),
+        ("calibrate", "check", folding, image, "--out", tmp_path / "check.png"),
+    ):
+        line = complaint(*command)
+        assert "folding.toml: intrinsics.distortion: expected one that can be undone everywhere in the image" in line
+    assert names(tmp_path) == {"images", "folding.toml"}
 
 
 def test_without_a_folder_the_results_are_beside_the_source(folder: Path, config: Path) -> None:

@@ -142,14 +142,17 @@ def test_a_preview(scene_file: Path, tmp_path: Path) -> None:
     assert is_coloured.any()  # the marks
     capture = cv2.VideoCapture(str(tmp_path / "drive.mp4"))
     assert int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) == 4
+    assert read_scene(tmp_path / "preview.toml").name == "mine"
+    foreglow("simulate", "--scene", scene_file, "--out", tmp_path, *arguments)  # over the earlier one
 
 
-@pytest.mark.parametrize("name", ["drive.mp4", "contact_sheet.png"])
-def test_a_preview_leaves_a_film_that_is_not_of_one(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_text("mine")
-    with pytest.raises(ValueError, match=f"{name}: expected nothing there but earlier results of this command"):
-        preview((), 0, 18.0, tmp_path)
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+@pytest.mark.parametrize("names", [("drive.mp4",), ("contact_sheet.png",), ("contact_sheet.png", "drive.mp4")])
+def test_a_preview_leaves_a_film_that_is_not_of_one(names: tuple[str, ...], tmp_path: Path) -> None:
+    for name in names:
+        (tmp_path / name).write_text("mine")
+    with pytest.raises(ValueError, match=f"{names[0]}: expected nothing there but earlier results of this command"):
+        preview((), Scene(), tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"] * len(names)
 
 
 def test_a_drive_that_leaves_the_map_is_told_before_anything_is_made(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import sys
 import types
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreglow.datasets import PVDN, FrameSource, ImageFolder, Video, download_pvdn, open_source
+from foreglow.datasets import PVDN, FrameSource, ImageFolder, Video, download_pvdn, open_labelled, open_source
 from foreglow.datasets.image_folder import natural_key
 from tests.datasets.test_video import make_video
 from tests.datasets.tiny_pvdn import make_pvdn
@@ -250,3 +251,34 @@ def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
     source = ImageFolder(tmp_path, on_error="skip")
     assert len(list(source)) == 1
     assert "b.HEIC" in source.skipped[0]
+
+
+@pytest.mark.parametrize("path", ["", None, 5, b"drive"])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    """An empty text stood for the working directory."""
+    for opened in (open_source, open_labelled):
+        with pytest.raises(ValueError, match="path: expected that of a file or folder, got"):
+            opened(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("a.HEIC", "expected an image \\(.*\\), is HEIC or AVIF; convert it first"),
+        ("a.jpg", "expected an image \\(.*\\), is HEIC or AVIF; convert it first"),
+    ],
+)
+def test_an_image_of_a_phone_is_named(tmp_path: Path, name: str, words: str) -> None:
+    """A HEIC was taken for a damaged video, or, called .jpg, for a damaged image."""
+    (tmp_path / name).write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(200))
+    with pytest.raises(ValueError, match=f"{name}: {words}"):
+        next(iter(open_source(tmp_path / name)))
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.mp4", "a.mcap", "a"])
+def test_a_pipe_is_called_one(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(ValueError, match=f"{name}: expected a file, is a pipe"):
+        next(iter(open_source(tmp_path / name)))
+    with pytest.raises(ValueError, match=f"{name}: expected .*, is a pipe"):
+        PVDN(tmp_path / name)

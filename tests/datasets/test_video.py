@@ -251,7 +251,7 @@ def test_sound_without_pictures(tmp_path: Path) -> None:
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such video"):
         Video(tmp_path / "absent.mp4")
-    with pytest.raises(ValueError, match="expected a video file, is not a file"):
+    with pytest.raises(ValueError, match="expected a file, is a folder"):
         Video(tmp_path)
 
 

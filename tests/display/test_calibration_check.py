@@ -68,7 +68,6 @@ def test_the_lines_say_the_figures() -> None:
         (dataclasses.replace(LEVEL, centre_px=(320.0, 480.0)), "the principal point is far off the middle: cx 320"),
         (dataclasses.replace(LEVEL, centre_px=(640.0, 640.0)), "the principal point is far off the middle: cy 640"),
         (dataclasses.replace(LEVEL, focal_px=(1300.0, 1000.0)), "pixels are not square: fx 1300, fy 1000"),
-        (dataclasses.replace(LEVEL, distortion=(-3.0, 0.0, 0.0, 0.0, 0.0)), "the distortion folds over"),
     ],
 )
 def test_warnings(camera: Camera, expected: str) -> None:

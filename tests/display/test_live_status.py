@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from foreglow.display.live_status import LiveStatus
@@ -24,3 +26,11 @@ def test_all_is_well_only_where_the_command_says_so_too(capsys: pytest.CaptureFi
     status.close()
     said = [line.split("s  ", 1)[1] for line in capsys.readouterr().err.splitlines()]
     assert said == ["stage_failed", "speed_unknown", "all is well again"]
+
+
+def test_control_characters_are_shown_and_not_carried_out(capsys: pytest.CaptureFixture[str]) -> None:
+    """Details may have the name of a device, or the words of a driver."""
+    status = LiveStatus()
+    status.write_health(dataclasses.replace(health(1, "no_frame"), details="camera \x1b[2J\x07\u202e is gone"))
+    status.close()
+    assert "no_frame (camera \\x1b[2J\\x07\\u202e is gone)" in capsys.readouterr().err

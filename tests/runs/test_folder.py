@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from foreglow.outputs import RESULT_NAMES
 from foreglow.runs.folder import OutputFolder, part_sinks
 from foreglow.runs.summary_file import read_summary
 from foreglow.runs.tally import Tally
+from foreglow.whole_files import open_atomic, together
 from tests.stand_ins import REFERENCE, night_frames, result_of
 
 SUMMARY = Tally().summary("here", [], REFERENCE, is_complete=True, dispatch=None)
@@ -142,3 +144,25 @@ def test_unwritable_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_unknown_name(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"frames\.jsonl, .*got 'x'"):
         OutputFolder(tmp_path).partial("x")
+
+
+def test_discarding_where_a_plug_in_went_to_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It left the files of the run, under their temporary names, in the folder for it."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    folder = OutputFolder(Path("out"))
+    os.chdir("elsewhere")
+    folder.discard()
+    assert [path.name for path in tmp_path.iterdir()] == ["elsewhere"]
+
+
+def test_an_atomic_file_where_a_plug_in_went_to_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for block in (contextlib.nullcontext(), together()):
+        os.chdir(tmp_path)
+        with block, open_atomic(Path("result.txt")) as file:
+            os.chdir("elsewhere")
+            file.write(b"whole")
+        assert sorted(path.name for path in tmp_path.rglob("*")) == ["elsewhere", "result.txt"]
+        (tmp_path / "result.txt").unlink()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import resource
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ import numpy as np
 import pytest
 
 from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, CanFrame, CommandEncoder, decode_gaps, decode_levels
-from foreglow.beam.receiver import LampReceiver
+from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.photometry import NUM_LEDS
-from foreglow.runtime.can_output import LOG_SUFFIXES, CanBus, CanLogSink
+from foreglow.runtime.can_output import LOG_SUFFIXES, MAX_SEND_S, CanBus, CanLogSink
+from foreglow.runtime.live.outlet import LIMIT_S
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, Proposals
 
 can = pytest.importorskip("can")
@@ -235,6 +237,38 @@ def test_bus_that_does_not_take_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OSError, match="virtual:foreglow-full: buffer full"):
         bus.send(command_at(0))
     bus.close()
+
+
+def test_the_rest_of_a_command_is_not_sent_when_its_driver_hung(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Low beam was decided meanwhile, and the command with light went on when the driver did."""
+    bus, sent = CanBus("virtual:foreglow-hanging"), list[int]()
+
+    def send(message: Any, **_: Any) -> None:
+        if len(sent) == 2:
+            time.sleep(MAX_SEND_S + 0.05)
+        sent.append(message.arbitration_id)
+
+    monkeypatch.setattr(bus._bus, "send", send)
+    with pytest.raises(OSError, match=r"foreglow-hanging: expected a bus that accepts a command within 0\.15 s"):
+        bus.send(command_at(0))
+    assert sent == list(LEVELS_IDS[:3])
+    bus.send(command_at(PERIOD, 0.0))  # the next one is whole
+    assert sent[3:] == [*LEVELS_IDS, GAPS_ID]
+    bus.close()
+
+
+@pytest.mark.parametrize("max_age_s", [0.3, None])
+def test_lamps_do_not_carry_out_what_comes_after_a_hang(max_age_s: float | None) -> None:
+    """Also where a driver keeps a whole command back itself: lamps without commands are at low beam by then."""
+    encoder, lamps = CommandEncoder(), LampReceiver(ReceiverConfig(max_age_s=max_age_s))
+    for number in range(6):
+        for frame in encoder.frames(command_at(number * PERIOD)):
+            lamps.receive(number * PERIOD, *frame)
+    assert lamps.shining(5 * PERIOD)[0].all()
+    late_ns = 6 * PERIOD + round(LIMIT_S * 1e9)
+    for frame in encoder.frames(command_at(6 * PERIOD)):
+        lamps.receive(late_ns, *frame)
+        assert not lamps.shining(late_ns)[0].any()
 
 
 def test_bus_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:

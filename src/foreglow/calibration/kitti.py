@@ -51,7 +51,7 @@ def read_kitti_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
     size_px = choice.checked_size_px(entries.size_px(f"S_{number}"), f"{path}: S_{number}")
     k1, k2, p1, p2, k3 = entries.numbers(f"D_{number}", 5).tolist()
     distortion = checked_distortion((k1, k2, p1, p2, k3), f"{path}: D_{number}")
-    return entries.pinhole(f"K_{number}", size_px, distortion)
+    return entries.pinhole(f"K_{number}", size_px, distortion).undistorted(f"{path}: D_{number}")
 
 
 class _Entries:

@@ -47,8 +47,8 @@ _Number: TypeAlias = Annotated[float, BeforeValidator(_number)]
 
 
 class _Matrix(FrozenModel):
-    rows: Annotated[int, Field(ge=0)]
-    cols: Annotated[int, Field(ge=0)]
+    rows: Annotated[int, Field(ge=0, le=1000)]
+    cols: Annotated[int, Field(ge=0, le=1000)]
     data: Annotated[tuple[_Number, ...], Field(strict=False)]
 
 
@@ -89,7 +89,8 @@ def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
         if choice.is_rectified
         else distortion_of(file.distortion_model, file.distortion_coefficients.data, str(path))
     )
-    return Intrinsics.of_matrix(np.array(given.data), size_px, f"{path}: {name}", distortion)
+    found = Intrinsics.of_matrix(np.array(given.data), size_px, f"{path}: {name}", distortion)
+    return found.undistorted(f"{path}: distortion_coefficients")
 
 
 def _read(path: Path) -> _File:

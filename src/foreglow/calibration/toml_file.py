@@ -125,7 +125,7 @@ def calibration_to_toml(camera: Camera) -> str:
 def _intrinsics(file: _IntrinsicsFile, path: Path) -> Intrinsics:
     found = Intrinsics(**file.image.model_dump(), **file.intrinsics.model_dump())
     check_centre(found.centre_px, (found.width_px, found.height_px), f"{path}: intrinsics.centre_px")
-    return found.of_a_lens(f"{path}: intrinsics.focal_px")
+    return found.of_a_lens(f"{path}: intrinsics.focal_px").undistorted(f"{path}: intrinsics.distortion")
 
 
 def _floats(values: tuple[float, ...] | np.ndarray) -> list[float]:

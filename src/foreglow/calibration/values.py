@@ -9,7 +9,17 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.config import FrozenModel
-from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, Camera, Floats, MountSigmas, Pose, check_centre, rotation
+from foreglow.geometry import (
+    MAX_DISTORTION,
+    MAX_FOCAL_PX,
+    Camera,
+    Floats,
+    MountSigmas,
+    Pose,
+    check_centre,
+    check_distortion,
+    rotation,
+)
 
 # TOML has lists where Python has tuples; what is in them stays strict.
 Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
@@ -152,6 +162,16 @@ class Intrinsics(FrozenModel):
                 expected = f"focal lengths in pixels, for a field of view of at most {MAX_FOV_DEG:g} degrees"
                 got = f"{focal_px:g} px, {fov_deg:.1f} degrees for {size_px} px"
                 raise ValueError(f"{field}: expected {expected}, got {got}")
+        return self
+
+    def undistorted(self, field: str) -> Self:
+        """These, if their distortion can be undone everywhere in the image.
+
+        Raises:
+            ValueError: If it cannot; the message begins with `field`.
+        """
+        size_px = self.width_px, self.height_px
+        check_distortion(size_px, self.focal_px, self.centre_px, self.distortion, field)
         return self
 
     def camera(self, mount: Mount) -> Camera:

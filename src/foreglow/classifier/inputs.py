@@ -34,6 +34,12 @@ has the units."""
 NUMS_FEATURES = (0, 7, 9, len(FEATURES))
 """Models read none, those without the place in the frame, those that are alike on both sides of the road, or all."""
 
+MAX_CROP_PX = 1024
+"""Largest side of a model's crops, pixels; published ones have 64."""
+
+MAX_REACH = 100
+"""Largest `support` and `context`: a crop of a box of ten pixels is then as wide as an image."""
+
 _LOGARITHM = 255.0
 """Levels become log(1 + 255 level) / log 256: from 0 to 1, with as much room for dark greys as for bright ones."""
 
@@ -72,12 +78,14 @@ class InputSpec:
     together: bool = False
 
     def __post_init__(self) -> None:
-        if self.size_px < 1 or self.support < 1:
-            raise ValueError(f"InputSpec: expected size_px and support of at least 1, got {self}")
+        if not 1 <= self.size_px <= MAX_CROP_PX:
+            raise ValueError(f"InputSpec.size_px: expected 1 to {MAX_CROP_PX}, got {self.size_px}")
+        if not 1 <= self.support <= MAX_REACH:
+            raise ValueError(f"InputSpec.support: expected 1 to {MAX_REACH}, got {self.support}")
         if self.lag_s is not None and not 0 < self.lag_s <= 10:
             raise ValueError(f"InputSpec.lag_s: expected above 0 and at most 10 seconds, got {self.lag_s}")
-        if self.context is not None and self.context < 1:
-            raise ValueError(f"InputSpec.context: expected at least 1, got {self.context}")
+        if self.context is not None and not 1 <= self.context <= MAX_REACH:
+            raise ValueError(f"InputSpec.context: expected 1 to {MAX_REACH}, got {self.context}")
         if self.num_features not in NUMS_FEATURES:
             raise ValueError(f"InputSpec.num_features: expected one of {NUMS_FEATURES}, got {self.num_features}")
         if self.together and self.num_features != len(FEATURES):

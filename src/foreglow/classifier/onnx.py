@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.classifier.colour import kinds_by_colour, redness
-from foreglow.classifier.inputs import NUMS_FEATURES, ClassifierInputs, InputMaker, InputSpec
+from foreglow.classifier.inputs import MAX_CROP_PX, NUMS_FEATURES, ClassifierInputs, InputMaker, InputSpec
 from foreglow.classifier.session import model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
@@ -19,9 +19,6 @@ from foreglow.types.kinds import kinds_of_direct
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
-
-MAX_CROP_PX = 1024
-"""Largest side of a model's crops, pixels; published ones have 64."""
 
 # Crops of one run: bounds the memory, and the activations of the first layers stay in the second-level cache.
 _MAX_BATCH = 8

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from foreglow.files import read_bytes, shortened
+from foreglow.files import check_file, read_bytes, shortened
+from foreglow.models import BUNDLED
 from foreglow.protobuf import protobuf_fields
 
 if TYPE_CHECKING:
@@ -48,8 +49,9 @@ def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = 
     if path.is_dir():
         within = f"{path / 'model.onnx'}" if (path / "model.onnx").is_file() else "model.onnx of a training"
         raise IsADirectoryError(f"{path}: expected an ONNX file such as {within}, got a folder")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such model file")
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such model file, expected an ONNX file, or `{BUNDLED}` for what ships")
+    check_file(path)
     _check_operations(path)
     # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

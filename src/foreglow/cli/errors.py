@@ -26,7 +26,7 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
-from foreglow.plugins import first_line_of, raising, words_of
+from foreglow.plugins import first_line_of, printable, raising, words_of
 from foreglow.whole_files import output_words
 
 EXTRAS = {
@@ -319,7 +319,7 @@ def shortened(text: str, length: int = MAX_LENGTH) -> str:
     'ab…gh'
     """
     line = " ".join(text[: 100 * length].split())
-    line = line.encode("utf-8", "replace").decode()  # names that are not UTF-8
+    line = printable(line.encode("utf-8", "replace").decode())  # names that are not UTF-8
     half = (length - 1) // 2
     return line if len(line) <= length else f"{line[:half]}…{line[-half:]}"
 

@@ -173,7 +173,7 @@ def _preview(scene: Scene, out: Path, quality: str) -> None:
 
     out.mkdir(parents=True, exist_ok=True)
     with SceneProgress(1, scene.num_frames) as progress:
-        sheet, movie = preview(drive_frames(scene, quality), scene.num_frames, scene.rate_hz, out, progress)
+        sheet, movie = preview(drive_frames(scene, quality), scene, out, progress)
     typer.echo(f"{scene.num_frames} frames of {scene.name}: {sheet} and {movie}")
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 from foreglow.datasets.bags import Recording, is_recording
@@ -82,7 +83,7 @@ def open_source(
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
         ValueError: If it cannot be used.
     """
-    path = Path(path)
+    path = _named(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
     chosen = FORMATS[format_of(path)]
@@ -103,8 +104,15 @@ def open_labelled(path: Path | str) -> LabelledSource:
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
         ValueError: If its labels cannot be used.
     """
-    path = Path(path)
+    path = _named(path)
     for each in FORMATS.values():
         if each.labelled is not None and path.exists() and each.is_at(path):
             return each.labelled(path)
     return PVDN(path)  # raises, and says what is missing
+
+
+def _named(path: Path | str) -> Path:
+    """`path`, if it is one: an empty text would stand for the working directory."""
+    if not isinstance(path, str | PathLike) or not str(path):
+        raise ValueError(f"path: expected that of a file or folder, got {path!r}")
+    return Path(path)

@@ -185,7 +185,7 @@ def _exif_time(path: Path) -> datetime | None:
 
 def is_images(path: Path) -> bool:
     """Whether `path` is a folder, or a file that is an image by its ending."""
-    return path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES
+    return path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES | OTHER_IMAGES
 
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:

@@ -39,6 +39,9 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".
 """Endings, in lower case, by which a file in a folder is taken for an image."""
 
 
+BRANDS_OF_PHONES = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis"})
+"""How a HEIC or AVIF begins, whatever its file is called: phones take such images, and nothing here decodes them."""
+
 Chroma: TypeAlias = NDArray[np.uint8]
 """How red what is in an image is, at half its size; see `red_chroma`."""
 
@@ -225,6 +228,8 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
             check_size(*size, "header")
     except ValueError as error:
         raise ValueError(f"{origin}: {error}") from None
+    if data[4:8] == b"ftyp" and data[8:12] in BRANDS_OF_PHONES:
+        raise ValueError(f"{origin}: expected an image ({known_formats()}), is HEIC or AVIF; convert it first")
     if size is None:
         raise ValueError(none)
     try:

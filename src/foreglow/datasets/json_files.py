@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, read_bytes, shortened
+from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, check_json_keys, read_bytes, shortened
 from foreglow.whole_files import write_atomic
 
 Model = TypeVar("Model")
@@ -72,8 +72,8 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
     """The `model`, a pydantic model or a dataclass, in the JSON text `data`.
 
     Raises:
-        ValueError: If it is not JSON, or a field is missing, of the wrong type or out of range; the message names
-            `origin`, the field, what was expected and what is there.
+        ValueError: If it is not JSON, has a key twice, or a field is missing, of the wrong type or out of range; the
+            message names `origin`, the field, what was expected and what is there.
     """
     check_json(data, origin)
     try:
@@ -89,6 +89,7 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         plain = first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
         message = _MESSAGES.get(first["type"], plain)
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
+    check_json_keys(data, origin)
     return value
 
 

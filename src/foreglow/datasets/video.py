@@ -22,6 +22,7 @@ from foreglow.datasets.decoding import (
 )
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
+from foreglow.files import check_file
 from foreglow.types import Frame
 
 _LEAST_SHARE = 0.95
@@ -81,8 +82,7 @@ class Video(FileSource):
         self.path = Path(path)
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such video")
-        if not self.path.is_file():
-            raise ValueError(f"{self.path}: expected a video file, is not a file")
+        check_file(self.path)
         if self.path.stat().st_size == 0:
             raise ValueError(f"{self.path}: expected a video, the file is empty")
         missing = _missing_bytes(self.path)

@@ -9,6 +9,7 @@ from rich.markup import escape
 from rich.status import Status
 
 from foreglow.display.summary_lines import beam_lines, counted
+from foreglow.plugins import printable
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import FaultEvent, LiveSummary
 from foreglow.types import BeamMode, Frame, FrameResult
@@ -38,7 +39,7 @@ class LiveStatus:
             self._said = now
             what = ", ".join(health.faults) or "all is well again"
             why = f" ({health.details})" if health.details else ""
-            line = f"{health.timestamp_ns / 1e9:10.2f} s  {what}{why}"
+            line = printable(f"{health.timestamp_ns / 1e9:10.2f} s  {what}{why}")
             self._console.print(line, highlight=False, markup=False, soft_wrap=True)
         num_frames, then_s = self._before
         now_s = time.monotonic()
@@ -50,7 +51,7 @@ class LiveStatus:
             )
             self._status.update(
                 f"{health.num_frames} frames, {rate_hz:.1f} a second, {health.num_dropped} dropped, "
-                f"{health.num_late} late; {mode}{escape(f'; {health.details}' if health.details else '')}"
+                f"{health.num_late} late; {mode}{escape(printable(f'; {health.details}') if health.details else '')}"
             )
 
     def close(self) -> None:
@@ -83,7 +84,7 @@ def live_lines(summary: LiveSummary) -> list[str]:
         why = "" if summary.sink_errors else ": the recording could not keep up"
         lines.append(f"{summary.num_unrecorded} results were not recorded{why}")
     lines += [f"not recorded: {error}" for error in summary.sink_errors]
-    return lines
+    return [printable(line) for line in lines]
 
 
 def _event_line(event: FaultEvent) -> str:

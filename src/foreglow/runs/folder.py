@@ -45,7 +45,7 @@ class OutputFolder:
             ValueError: If something there has the name of a result and is no file or not of a run, or another run is
                 writing into it.
         """
-        self.path = path
+        self.path, self._home = path, path.absolute()  # a plug-in may go to another folder meanwhile
         self._partials: dict[str, Path] = {}
         self._parts: Path | None = None
         self._lock = FolderLock(path)
@@ -156,10 +156,10 @@ class OutputFolder:
         """Removes what was written, and the folders made for it if nothing else is in them."""
         for partial in self._partials.values():
             with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
+                (self._home / partial.name).unlink(missing_ok=True)
         self._partials.clear()
         if self._parts is not None:
-            shutil.rmtree(self._parts, ignore_errors=True)
+            shutil.rmtree(self._home / self._parts.name, ignore_errors=True)
         self._lock.release()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,10 @@ LOG_SUFFIXES = (".asc", ".blf", ".log")
 
 SEND_TIMEOUT_S = 0.02
 """Longest wait for the bus to accept a frame."""
+
+MAX_SEND_S = 0.15
+"""After this time the rest of a command is not sent: its driver hung, and low beam was decided meanwhile. It is more
+than all of a command's waits, and less than `live.outlet.LIMIT_S`."""
 
 
 class CanLogSink:
@@ -143,11 +148,14 @@ class CanBus:
         """Sends the frames of a command.
 
         Raises:
-            OSError: If the bus does not accept one within `SEND_TIMEOUT_S`; the lamps then go to low beam by
-                themselves.
+            OSError: If the bus does not accept one within `SEND_TIMEOUT_S`, or all of them within `MAX_SEND_S`; what
+                is left of the command is not sent, and the lamps go to low beam by themselves.
             ValueError: If the command is not for lamps of `NUM_LEDS` LEDs.
         """
+        begun_s = time.monotonic()
         for message in _messages(self._encoder.frames(command), command.timestamp_ns):
+            if time.monotonic() - begun_s > MAX_SEND_S:
+                raise OSError(f"{self._name}: expected a bus that accepts a command within {MAX_SEND_S:g} s")
             try:
                 self._bus.send(message, timeout=SEND_TIMEOUT_S)
             except Exception as error:  # drivers raise what they like

@@ -31,7 +31,7 @@ def returned(frame: Frame) -> Frame:
 )
 def test_a_camera(angles: tuple[float, float, float], position_m: tuple[float, float, float], focal: float) -> None:
     pose = Pose(np.array(position_m), rotation(*angles))
-    camera = Camera(64, 48, (focal, 1.1 * focal), (31.7, 24.1), (-0.07, 0.015, 1e-4, -2e-5, 0.1), pose)
+    camera = Camera(64, 48, (focal, 1.1 * focal), (31.7, 24.1), (-7e-13, 1.5e-13, 1e-14, -2e-15, 1e-12), pose)
     found = returned(Frame(IMAGE, 3, camera=camera)).camera
     assert found is not None
     assert (found.width_px, found.height_px) == (64, 48)
@@ -134,6 +134,10 @@ def test_a_camera_for_another_size_is_refused() -> None:
 def test_a_recorded_camera_of_no_lens_is_refused() -> None:
     camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
     fields = json.loads(FrameMessage.of(Frame(IMAGE, 0, camera=camera)).to_json())
-    fields["camera"]["centre_px"] = [1e6, 24.0]
-    with pytest.raises(ValueError, match=r"here: .*centre_px: expected a principal point at most 128 px outside"):
-        parse_json(json.dumps(fields), FrameMessage, "here")
+    for name, value, complaint in (
+        ("centre_px", [1e6, 24.0], "centre_px: expected a principal point at most 128 px outside"),
+        ("distortion", [-3.0, 0.0, 0.0, 0.0, 0.0], "distortion: expected one that can be undone everywhere in"),
+    ):
+        wrong = fields | {"camera": fields["camera"] | {name: value}}
+        with pytest.raises(ValueError, match=f"here: .*{complaint}"):
+            parse_json(json.dumps(wrong), FrameMessage, "here")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 
 from foreglow.calibration import calibration_to_toml
-from foreglow.datasets.simulated import FrameTruth, read_truth
+from foreglow.datasets.simulated import FrameTruth, has_truth, read_truth
 from foreglow.datasets.simulated.files import TruthWriter, decoded_depth_m, encoded_depth
+from foreglow.datasets.simulated.vehicle import RecordedLux
 from foreglow.geometry import Pose
+from foreglow.lab.simulation.data_card import write_data_card
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.dataset import simulate_dataset
 from foreglow.lab.simulation.writing.scene_files import road_file, scene_of
@@ -158,6 +161,27 @@ def test_a_missing_file_is_named(split: Path, name: str) -> None:
 def test_a_split_without_truth(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"simulation/info\.json: no such file"):
         read_truth(tmp_path)
+
+
+@pytest.mark.parametrize("content", [None, "", "{}", "[1]", '{"seed": 1'])
+def test_what_reads_a_split_says_that_its_info_is_gone_or_damaged(split: Path, content: str | None) -> None:
+    """It counted as another data set: figures lost their scenarios, and a data card the whole split."""
+    path = split / "simulation" / "info.json"
+    path.unlink() if content is None else path.write_text(content)
+    assert has_truth(split)
+    words = re.escape(str(path)) + ".*`foreglow simulate`, as it made this split, writes it again and keeps the drives"
+    for read in (read_truth, RecordedLux, write_data_card):
+        with pytest.raises((FileNotFoundError, ValueError), match=words):
+            read(split)
+
+
+def test_a_lost_info_is_written_again_and_the_drives_are_kept(tmp_path: Path) -> None:
+    root = simulate_dataset(tmp_path, SCENES, drive).root
+    info = root / "simulation" / "info.json"
+    content = info.read_bytes()
+    info.unlink()
+    assert simulate_dataset(tmp_path, SCENES, pytest.fail).root == root
+    assert info.read_bytes() == content
 
 
 def test_unknown_sequences_and_images(whole: Path) -> None:

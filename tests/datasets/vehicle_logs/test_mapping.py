@@ -164,6 +164,22 @@ def test_motion_in_other_units(tmp_path: Path) -> None:
     assert (motion.speed_mps, motion.yaw_rate_radps) == pytest.approx((20.0, -0.15708), abs=1e-5)
 
 
+@pytest.mark.parametrize("name", ["SNA", "Speed_NotAvailable", "invalid", "Init"])
+def test_codes_that_are_called_not_available_count_as_not_sent(tmp_path: Path, name: str) -> None:
+    """All ones were a speed of 655 km/h."""
+    dbc = DBC + f'\nVAL_ 515 Pace 65535 "{name}" 0 "standstill" ;\n'
+    (tmp_path / "car.dbc").write_text(dbc)
+    (tmp_path / "car.toml").write_text(MAPPING)
+    decoder = CanDecoder(tmp_path / "car.dbc", tmp_path / "car.toml")
+    key = next(key for key in decoder.keys if key[0] == 515)
+    decoder.take(0, key, b"\xff\xff" + bytes(6), "bus")
+    assert decoder.log.motion(0) is None
+    decoder.take(10_000_000, key, bytes(8), "bus")
+    motion = decoder.log.motion(10_000_000)
+    assert motion is not None
+    assert motion.speed_mps == 0.0
+
+
 def test_reports_of_the_production_system_count_for_half_a_second(tmp_path: Path) -> None:
     alone = '[production]\nmessage = "Objects"\nsignal = "Vehicles"\n'
     log = log_of(tmp_path, [("Objects", {"Vehicles": 0}), ("Objects", {"Vehicles": 3})], alone)

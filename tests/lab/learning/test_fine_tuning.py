@@ -21,6 +21,7 @@ from foreglow.classifier.inputs import InputSpec
 from foreglow.classifier.session import open_session
 from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import fine_tuning
+from foreglow.lab.learning.checkpoints import Checkpoint, write_checkpoint
 from foreglow.lab.learning.model_export import write_model
 from foreglow.lab.learning.model_import import FoldedBothNetwork, read_model
 from foreglow.lab.learning.networks import NETWORKS, ArtifactNetwork, BothNetwork, learnt_logits, members_of
@@ -391,6 +392,20 @@ def test_a_model_of_other_boxes(drives: Path, tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text(config_to_toml(preset("paper")))
     told = complaint("train", drives, "--out", tmp_path / "mine", "--from", tmp_path / "start.onnx")
     assert f"expected --config {tmp_path / 'config.toml'} with --from" in told
+
+
+def test_another_recipe_is_refused_before_samples_are_made(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model_at(tmp_path / "start.onnx", WIDEST, 5)
+    start = read_model(tmp_path / "start.onnx")
+    begun = fine_tuning.fine_tuning_recipe(start).model_dump(mode="json") | {"start": start.digest, "seed": 9}
+    (tmp_path / "mine").mkdir()
+    write_checkpoint(tmp_path / "mine", Checkpoint(begun, {}, {}, {}))
+    monkeypatch.setattr(fine_tuning, "labelled_samples", pytest.fail)
+    command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", tmp_path / "mine", "--device", "cpu"]
+    told = complaint(*command, "--config", drives.parent / "config.toml")
+    assert "checkpoint.pt: seed: expected that of the training begun here, 9, got 1" in told
 
 
 def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

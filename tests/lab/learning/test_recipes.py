@@ -60,6 +60,10 @@ def test_a_table_changes_only_what_it_names(tmp_path: Path) -> None:
         ("epochs = 2\nwarmup_epochs = 3.0", "warmup_epochs: expected at most epochs, 2, got 3"),
         ("schedule = 'plateau'", "warmup_epochs: expected 0 with the schedule plateau"),
         ("epochs 3", "expected TOML"),
+        ("[inputs]\nsize_px = 1000000", "inputs.*size_px: expected 1 to 1024, got 1000000"),
+        ("[inputs]\nsupport = 1000", "inputs.*support: expected 1 to 100, got 1000"),
+        ("[inputs]\ncontext = 1000", "inputs.*context: expected 1 to 100, got 1000"),
+        ("patience = 100001", "patience: Input should be less than or equal to 100000"),
     ],
 )
 def test_a_bad_recipe_names_file_and_field(tmp_path: Path, text: str, message: str) -> None:

@@ -38,6 +38,8 @@ from foreglow.datasets.simulated.truth import FrameTruth
 from foreglow.geometry import Camera, Floats
 from foreglow.whole_files import write_atomic
 
+_AGAIN = "`foreglow simulate`, as it made this split, writes it again and keeps the drives"
+
 MAX_FRAMES = 10_000
 """Images of a sequence; an image id is the sequence's number times this, plus the frame's number in the drive."""
 
@@ -214,7 +216,7 @@ class SimulatedTruth:
     def __init__(self, root: Path) -> None:
         """Reads `info.json` and lists the sequences."""
         self.root = root
-        self.info = read_json(root / "simulation" / "info.json", InfoFile)
+        self.info = read_info(root)
         self.sequence_ids = finished_sequences(root)
 
     def __len__(self) -> int:
@@ -252,10 +254,28 @@ def read_truth(root: Path | str) -> SimulatedTruth:
     """What is known about the simulated split in the folder `root`, such as `DATA/night/train`.
 
     Raises:
-        FileNotFoundError: If the split is not simulated.
+        FileNotFoundError: If the split is not simulated, or its `info.json` is gone.
         ValueError: If its `info.json` is broken.
     """
     return SimulatedTruth(Path(root))
+
+
+def read_info(root: Path) -> InfoFile:
+    """How the simulated split in the folder `root` was made.
+
+    Raises:
+        FileNotFoundError: If the split is not simulated, or its `info.json` is gone.
+        ValueError: If it is broken.
+    """
+    path = _info_path(root)
+    if not has_truth(root):
+        raise FileNotFoundError(f"{root}: expected a simulated split, with {path.relative_to(root)}: no such file")
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file, but there are drives beside it; {_AGAIN}")
+    try:
+        return read_json(path, InfoFile)
+    except ValueError as error:
+        raise ValueError(f"{error}; {_AGAIN}") from None
 
 
 def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
@@ -271,8 +291,8 @@ def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
 
 
 def has_truth(root: Path) -> bool:
-    """Whether the split in the folder `root` is simulated."""
-    return _info_path(root).exists()
+    """Whether the split in the folder `root` is simulated, also one that has lost its `info.json`."""
+    return _info_path(root).exists() or bool(finished_sequences(root))
 
 
 def sequence_name(sequence_id: int) -> str:

@@ -37,6 +37,9 @@ MAX_DBC_BYTES = 4 * MIB
 MAX_MESSAGE_BYTES = 4096
 """Longest message of a DBC: one of CAN FD has 64 bytes, one of several frames 1785."""
 
+_UNKNOWN = re.compile(r"(?i)\bSNA\b|not[ _]?avail|unavail|invalid|ungueltig|^(init|fehler|error)$")
+"""Names in a value table for codes that are no value, such as all ones where a sensor has failed."""
+
 MAX_MULTIPLEX_VALUES = 65_536
 """Values in all ranges of multiplexed signals of a DBC: cantools lists each."""
 
@@ -350,7 +353,20 @@ def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
             return {}  # of a number that the DBC does not have: nothing else of such a frame can be wrong
         raise ValueError(f"{where}: {message.name}: {error}") from None
     values: dict[Any, Any] = dict(decoded)
+    unknown = _unknown_codes(message)
+    if unknown:
+        raw: dict[Any, Any] = dict(message.decode(data, decode_choices=False, scaling=False))
+        values = {name: value for name, value in values.items() if raw[name] not in unknown.get(name, ())}
     return {name: float(value) for name, value in values.items() if math.isfinite(value)}
+
+
+def _unknown_codes(message: Message) -> dict[str, set[int]]:
+    """By signal, the codes to which the DBC's value table gives a name that says that the value is not known."""
+    codes = {
+        signal.name: {code for code, name in (signal.choices or {}).items() if _UNKNOWN.search(str(name))}
+        for signal in message.signals
+    }
+    return {name: found for name, found in codes.items() if found}
 
 
 def _number(values: dict[str, float], section: NumberSignal) -> float:

@@ -86,7 +86,7 @@ class PositionSignals(Section):
     segment_id: str
     remaining_length_m: str
     error_class: str
-    first_error_class: Annotated[int, Field(ge=0)] = 0
+    first_error_class: Annotated[int, Field(ge=0, lt=2**32)] = 0
     num_segments: str | None = None
 
 
@@ -102,7 +102,7 @@ class CurvatureMeaning(FrozenModel):
     """
 
     meaning: Literal["code", "radius_m", "per_m"] = "code"
-    straight_code: Annotated[int, Field(ge=2)] = STRAIGHT_CODE
+    straight_code: Annotated[int, Field(ge=2, lt=2**32)] = STRAIGHT_CODE
     min_radius_m: Annotated[float, Field(gt=0)] = MIN_RADIUS_M
     max_radius_m: Annotated[float, Field(gt=0)] = MAX_RADIUS_M
     left_when: Literal[0, 1] = 1

@@ -188,11 +188,15 @@ def fine_tune(
         ValueError: If one is broken, or the folder holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
+    from foreglow.lab.learning.checkpoints import check_begun
     from foreglow.lab.learning.training import Teacher, score_samples, torch_device, train
 
     started = time.perf_counter()
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")
+    given = recipe.model_dump(mode="json")
+    del given["epochs"]  # those of the training follow from the number of samples
+    check_begun(folder, given | {"start": start.digest})
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     learnt = [open_labelled(root) for root in roots]

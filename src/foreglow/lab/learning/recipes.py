@@ -18,6 +18,10 @@ from foreglow.types import KINDS
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 
+MAX_EPOCHS = 100_000
+"""Far beyond any training; published ones have 300."""
+
+
 class Augmentation(FrozenModel):
     """Random changes of training crops; the defaults change nothing.
 
@@ -97,15 +101,15 @@ class Recipe(FrozenModel):
     network: str
     inputs: Inputs = InputSpec()
     jitter: Jitter = Jitter()
-    epochs: Annotated[int, Field(ge=1, le=100_000)]
-    patience: Annotated[int, Field(ge=1)] | None = None
+    epochs: Annotated[int, Field(ge=1, le=MAX_EPOCHS)]
+    patience: Annotated[int, Field(ge=1, le=MAX_EPOCHS)] | None = None
     batch_size: Annotated[int, Field(ge=2, le=65536)]
     optimiser: Literal["adam", "adamw"]
     learning_rate: Annotated[float, Field(gt=0, le=10)]
     weight_decay: Annotated[float, Field(ge=0, le=10)]
     schedule: Literal["plateau", "cosine", "constant"]
     plateau_factor: Annotated[float, Field(gt=0, lt=1)] = 0.9
-    plateau_patience: Annotated[int, Field(ge=0)] = 5
+    plateau_patience: Annotated[int, Field(ge=0, le=MAX_EPOCHS)] = 5
     warmup_epochs: Annotated[float, Field(ge=0)] = 0.0
     max_gradient: Annotated[float, Field(gt=0)] | None = None
     ema_decay: Annotated[float, Field(ge=0, lt=1)] = 0.0

@@ -74,7 +74,7 @@ class Jitter(FrozenModel):
     centre: Annotated[float, Field(ge=0, le=1)] = 0.15
     min_scale: Annotated[float, Field(gt=0, le=1)] = 0.85
     max_scale: Annotated[float, Field(ge=1, le=4)] = 1.2
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
 
 
 class SampleConfig(FrozenModel):

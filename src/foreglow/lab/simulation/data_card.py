@@ -11,8 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from foreglow.datasets.json_files import read_json
-from foreglow.datasets.simulated.files import InfoFile, finished_sequences, has_truth
+from foreglow.datasets.simulated.files import InfoFile, finished_sequences, has_truth, read_info
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.whole_files import write_atomic
@@ -60,7 +59,7 @@ def _split(root: Path) -> SplitCard:
     missing = {sequence for sequence, _ in scenes} - set(finished_sequences(root))
     if missing:
         raise ValueError(f"{root}: expected all {len(scenes)} drives, {len(missing)} are missing; simulate them first")
-    return SplitCard(root, read_json(root / "simulation" / "info.json", InfoFile), tuple(scene for _, scene in scenes))
+    return SplitCard(root, read_info(root), tuple(scene for _, scene in scenes))
 
 
 def _check_disjoint(splits: Sequence[SplitCard]) -> None:

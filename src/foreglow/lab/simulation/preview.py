@@ -13,6 +13,7 @@ from foreglow.display.overlay import Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
 from foreglow.lab.simulation.drive_frame import DriveFrame
+from foreglow.lab.simulation.scenes.scene import Scene, scene_to_toml
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.outputs import check_made_together
 from foreglow.whole_files import atomic_path, together, write_atomic
@@ -39,42 +40,44 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def preview(
-    frames: Iterable[DriveFrame], num_frames: int, rate_hz: float, folder: Path, progress: Progress | None = None
+    frames: Iterable[DriveFrame], scene: Scene, folder: Path, progress: Progress | None = None
 ) -> tuple[Path, Path]:
     """Writes `contact_sheet.png` and `drive.mp4` to `folder`, which exists, and returns their paths.
 
+    Beside them is `preview.toml`, the scene: a preview is known by it.
+
     Args:
-        frames: The drive.
-        num_frames: Their number; the sheet shows some, evenly spread.
-        rate_hz: Frames a second.
+        frames: The drive; the sheet shows some, evenly spread.
+        scene: Its scene.
         folder: Folder of the files.
         progress: Called after every frame, as for data sets.
 
     Raises:
-        ValueError: If only one of both is there, which is of something else.
+        ValueError: If one of the files is there without the others, which is of something else.
         OSError: If a file cannot be written.
     """
-    sheet, film = folder / "contact_sheet.png", folder / "drive.mp4"
-    check_made_together((sheet, film))
-    shown = {round(number) for number in np.linspace(0, num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
+    sheet, film, mark = folder / "contact_sheet.png", folder / "drive.mp4", folder / "preview.toml"
+    check_made_together((sheet, film, mark))
+    shown = {round(number) for number in np.linspace(0, scene.num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     tone: Tone | None = None
     tiles: list[Picture] = []
     with together():
         with atomic_path(film) as temporary:
-            movie = Movie(temporary, rate_hz)
+            movie = Movie(temporary, scene.rate_hz)
             try:
                 for number, known in enumerate(frames):
                     tone = tone or Tone.of(known.frame.image)
                     picture = labelled(known, tone)
                     movie.add(picture, known.frame.timestamp_ns)
                     if progress is not None:
-                        progress(1, number + 1, num_frames)
+                        progress(1, number + 1, scene.num_frames)
                     if number in shown:
                         tiles.append(picture)
                 movie.close()
             finally:
                 movie.discard()
         write_atomic(sheet, cv2.imencode(".png", contact_sheet(tiles))[1].tobytes())
+        write_atomic(mark, scene_to_toml(scene).encode())
     return sheet, film
 
 

@@ -143,7 +143,8 @@ def read_camera_info(message: CameraInfo, topic: str) -> tuple[tuple[int, int], 
             raise ValueError(f"{topic}: {name}: expected finite numbers, got NaN or infinity")
     size_px = (message.width, message.height)
     distortion = distortion_of(message.distortion_model, tuple(float(number) for number in message.d), topic)
-    return size_px, Intrinsics.of_matrix(np.array(message.k, np.float64), size_px, f"{topic}: k", distortion)
+    found = Intrinsics.of_matrix(np.array(message.k, np.float64), size_px, f"{topic}: k", distortion)
+    return size_px, found.undistorted(f"{topic}: d")
 
 
 def mount_message(header: Header, mount: Pose) -> PointCloud2:

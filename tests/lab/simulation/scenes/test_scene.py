@@ -33,6 +33,7 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
         ("[camera]\nfocal_px = nan\n", "camera.focal_px"),
         ("[camera]\nfocal_px = 1e7\n", "camera.focal_px: .*less than or equal to 1000000"),
         ("[camera]\ncentre_px = [1e6, 480.0]\n", "camera.centre_px: expected a principal point at most 2560 px"),
+        ("[camera]\ndistortion = [-3.0, 0.0, 0.0, 0.0, 0.0]\n", "camera.distortion: expected one that can be undone"),
         ("[camera]\ndistortion = [0.0, 1e7, 0.0, 0.0, 0.0]\n", "camera.distortion.1: .*less than or equal to"),
         ("[road]\ncurvature_per_m = [[0.0, 0.2]]\n", "radii of at least 20 m, got 5.0 m"),
         ('[[vehicles]]\nlane = "branch"\n', "side road below 0, got 0"),

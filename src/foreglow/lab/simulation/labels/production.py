@@ -36,7 +36,7 @@ class ProductionConfig(SpecModel):
     min_grey: Positive = 40.0
     min_illuminance_lx: NonNegative = 0.002
     min_visible: Annotated[float, Field(ge=0, le=1)] = 0.5
-    confirm_frames: Annotated[int, Field(ge=1)] = 5
+    confirm_frames: Annotated[int, Field(ge=1, le=1000)] = 5
     rate_hz: Positive = 18.0
     latency_s: NonNegative = 0.24
     release_s: NonNegative = 2.0

@@ -15,7 +15,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from foreglow.config import read_toml, validated
-from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, check_centre
+from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, check_centre, check_distortion
 from foreglow.lab.simulation.scenes.surroundings import (
     Listed,
     NonNegative,
@@ -36,7 +36,10 @@ EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
 
 Shoulder: TypeAlias = Annotated[float, Field(ge=0, le=5)]
 _Term: TypeAlias = Annotated[float, Field(ge=-MAX_DISTORTION, le=MAX_DISTORTION)]
-LaneNumber: TypeAlias = Annotated[int, Field(ge=0)]
+MAX_COUNT = 1000
+"""Of lanes, side roads, lights of a vehicle and frames: far beyond what a drive has."""
+
+LaneNumber: TypeAlias = Annotated[int, Field(ge=0, le=MAX_COUNT)]
 
 MIN_MEDIAN_M = 1.0
 """Width of the narrowest median: a concrete barrier is 0.6 m wide."""
@@ -158,7 +161,7 @@ class VehicleSpec(SpecModel):
 
     kind: VehicleKind = "car"
     lane: Literal["oncoming", "own", "parked_left", "parked_right", "branch"] = "oncoming"
-    branch: Annotated[int, Field(ge=0)] = 0
+    branch: Annotated[int, Field(ge=0, le=MAX_COUNT)] = 0
     is_towards: bool = True
     timetable: Profile = ((0.0, 300.0), (10.0, 100.0))
     lane_number: LaneNumber | None = None
@@ -264,6 +267,9 @@ class CameraSpec(SpecModel):
     def _check(self) -> CameraSpec:
         if self.centre_px is not None:
             check_centre(self.centre_px, (self.width_px, self.height_px), "centre_px")
+        size_px, focal_px = (self.width_px, self.height_px), (self.focal_px, self.focal_px)
+        centre_px = self.centre_px or (self.width_px / 2, self.height_px / 2)
+        check_distortion(size_px, focal_px, centre_px, self.distortion, "distortion")
         return self
 
 
@@ -338,11 +344,11 @@ class LabelRule(SpecModel):
     min_area_px: Positive = 25.0
     saddle: Share = 0.5
     min_distance_px: NonNegative = 20.0
-    max_instances: Annotated[int, Field(ge=1)] = 2
-    max_hidden_instances: Annotated[int, Field(ge=1)] = 1
+    max_instances: Annotated[int, Field(ge=1, le=MAX_COUNT)] = 2
+    max_hidden_instances: Annotated[int, Field(ge=1, le=MAX_COUNT)] = 1
     relative_strength: Share = 0.5
     doubtful_factor: Annotated[float, Field(ge=1)] = 4.0
-    hold_frames: Annotated[int, Field(ge=0)] = 3
+    hold_frames: Annotated[int, Field(ge=0, le=MAX_COUNT)] = 3
     min_visible: Share = 0.2
 
 
