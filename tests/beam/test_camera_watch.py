@@ -175,10 +175,13 @@ def test_a_part_that_shows_old_images_in_turn(drive: list[Image], part: float, n
     assert all(faults[NUM_GOOD + 1 :])
 
 
-SCATTERED = [f"{form} {px}" for form in ("even", "uneven") for px in (8, 24, 48)] + [
-    f"tiles {px}" for px in (8, 16, 32, 64)
+STRIPES = [f"{form} {px}" for form in ("even", "uneven") for px in (8, 24, 48)]
+SCATTERED = [
+    *itertools.product(STRIPES, (None, 0, 3)),
+    *itertools.product(["tiles 8", "tiles 16", "tiles 32"], (None,)),
+    *itertools.product(["tiles 64"], (0, 3)),
 ]
-"""Parts that are together a fifth of the image or a little more: upright stripes and tiles, and their size."""
+"""Upright stripes and tiles of so many pixels, together about a fifth of the image, that are stuck or have a value."""
 
 
 def scattered(form: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -195,8 +198,7 @@ def scattered(form: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return is_part
 
 
-@pytest.mark.parametrize("value", [None, 0, 3, 30])
-@pytest.mark.parametrize("form", SCATTERED)
+@pytest.mark.parametrize(("form", "value"), SCATTERED)
 def test_scattered_parts_that_are_stuck_or_dark(drive: list[Image], form: str, value: int | None) -> None:
     images = with_noise(drive)
     is_part = scattered(form, images[0].shape)

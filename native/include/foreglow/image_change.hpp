@@ -21,8 +21,8 @@ struct ImageChange {
     // Share of the samples that do not change at all, as estimated from those that changed now, before and both times;
     // of all samples and of the bright ones, the lesser.
     double share_stuck = 0.0;
-    // Of the samples as before, those of the level that most bright ones of them have, if nearly all bright ones of that
-    // level are as before; of all samples and of the bright ones, the lesser.
+    // Share of the samples that are as before and of the level that most bright ones of them have, if nearly all bright
+    // ones of that level are as before; of all samples and of the bright ones, the lesser.
     double share_filled = 0.0;
     double contrast = 0.0;  // the mean of the bright samples less that of the others, of those not as before
     std::int64_t num_edges = 0, num_other_edges = 0;  // on the grid of encoders, and on one shifted by half a square
