@@ -299,6 +299,10 @@ NB_MODULE(_native, module) {
         }, nb::rv_policy::automatic)
         .def_ro("num_samples", &foreglow::ImageChange::num_samples)
         .def_ro("num_changed", &foreglow::ImageChange::num_changed)
+        .def_ro("num_bright", &foreglow::ImageChange::num_bright)
+        .def_ro("share_stuck", &foreglow::ImageChange::share_stuck)
+        .def_ro("share_filled", &foreglow::ImageChange::share_filled)
+        .def_ro("contrast", &foreglow::ImageChange::contrast)
         .def_ro("num_edges", &foreglow::ImageChange::num_edges)
         .def_ro("num_other_edges", &foreglow::ImageChange::num_other_edges)
         .def_ro("num_rows", &foreglow::ImageChange::num_rows)
@@ -313,6 +317,8 @@ NB_MODULE(_native, module) {
         .def(nb::init<>())
         .def("compare", &compare, "image"_a, "top"_a,
              "None for the first image, and where the size or the type is another.")
+        .def("keep", &foreglow::ImageComparer::keep,
+             "Makes the latest image one that, after two others, says which samples are bright.")
         .def("reset", &foreglow::ImageComparer::reset);
     nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
                                             "Weighs hypotheses of ranges; one object a thread.")

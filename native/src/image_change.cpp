@@ -14,9 +14,37 @@ constexpr std::int32_t block_px = 8, square_px = 2 * block_px;
 constexpr std::int32_t top_level = 255;   // the greatest value has so many 8-bit grey levels
 constexpr std::int32_t edge_levels = 10;  // 8-bit grey levels, in the mean along the edge
 constexpr std::int64_t row_step = 7;      // one row of so many is looked at: a prime number, for every pattern of rows
+constexpr std::size_t num_at_once = 1 << 15;  // samples are counted at once, so that sums fit into their types
+constexpr std::int64_t rarely_filled = 20;  // less than one bright sample of so many says nothing
+constexpr double filled_share = 0.9;        // of the samples of one level, so many are as before where it is a filling
 constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
 constexpr std::int64_t max_pieces = 8;    // of a row, to see whether one is flat
 constexpr std::int64_t num_columns = 160; // about so many are compared from row to row
+
+// How many samples there are of a kind, and of these not as before: now, in the image before, and both times. Of those
+// now, the sum. The first type is narrow, so that more of them fit into a register.
+template <typename Number>
+struct SampleCount {
+    Number num = 0, num_now = 0, num_before = 0, num_twice = 0;
+    std::uint64_t sum = 0;
+
+    template <typename Other>
+    void add(const SampleCount<Other>& other) {
+        num += other.num;
+        num_now += other.num_now;
+        num_before += other.num_before;
+        num_twice += other.num_twice;
+        sum += other.sum;
+    }
+
+    // Noise takes a share of the samples that are alive, each time another one. As many are in a lake as the catches of
+    // two days are, multiplied, over the number caught twice (F. C. Lincoln, 1930); the others do not change at all.
+    double share_stuck() const {
+        const auto as_double = [](Number of) { return static_cast<double>(of); };
+        return num_twice ? 1.0 - as_double(num_now) * as_double(num_before) / (as_double(num) * as_double(num_twice))
+                         : 0.0;
+    }
+};
 
 struct Grid {
     std::int64_t block_height, block_width, num_down, num_across;  // blocks
@@ -200,6 +228,95 @@ void ImageComparer::digest(const ImageView& image, ImageChange& change) {
     rows.write(change);
 }
 
+void ImageComparer::compare_samples(std::int32_t top, ImageChange& change) {
+    const std::size_t num = now_.samples.size();
+    are_bright_.front().resize(num, 1);
+    was_changed_.resize(num, 1);
+    is_changed_.resize(num);
+    SampleCount<std::int64_t> all, bright;
+    for (std::size_t first = 0; first < num; first += num_at_once) {
+        const std::uint16_t *now = now_.samples.data() + first, *before = before_.samples.data() + first,
+                            *is_bright = are_bright_.front().data() + first, *was_changed = was_changed_.data() + first;
+        std::uint16_t* is_changed = is_changed_.data() + first;
+        const std::size_t end = std::min(num_at_once, num - first);
+        std::uint16_t num_now = 0, num_before = 0, num_twice = 0, bright_num = 0, bright_now = 0, bright_before = 0,
+                      bright_twice = 0;
+        std::uint32_t sum = 0, bright_sum = 0;
+        for (std::size_t i = 0; i < end; ++i) {
+            const std::uint16_t here = now[i] != before[i], twice = here & was_changed[i];
+            is_changed[i] = here;
+            num_now += here;
+            num_before += was_changed[i];
+            num_twice += twice;
+            bright_num += is_bright[i];
+            bright_now += is_bright[i] & here;
+            bright_before += is_bright[i] & was_changed[i];
+            bright_twice += is_bright[i] & twice;
+            const std::uint16_t sample = here ? now[i] : 0, bright_sample = is_bright[i] ? sample : 0;
+            sum += sample;
+            bright_sum += bright_sample;
+        }
+        all.add(SampleCount<std::uint16_t>{static_cast<std::uint16_t>(end), num_now, num_before, num_twice, sum});
+        bright.add(SampleCount<std::uint16_t>{bright_num, bright_now, bright_before, bright_twice, bright_sum});
+    }
+    change.num_changed = all.num_now;
+    change.num_bright = bright.num;
+    change.share_stuck = std::min(all.share_stuck(), bright.share_stuck());
+    change.share_filled = share_filled(top, bright.num);
+    const auto mean = [](std::uint64_t of, std::int64_t num_of) {
+        return num_of ? static_cast<double>(of) / static_cast<double>(num_of) : 0.0;
+    };
+    change.contrast = (mean(bright.sum, bright.num_now) - mean(all.sum - bright.sum, all.num_now - bright.num_now)) *
+                      top_level / static_cast<double>(top);
+    if (all.num_now > 0) std::swap(is_changed_, was_changed_);
+}
+
+double ImageComparer::share_filled(std::int32_t top, std::int64_t num_bright) const {
+    const std::vector<std::uint16_t>& is_bright = are_bright_.front();
+    const std::size_t num = now_.samples.size();
+    const auto level_of = [this, top](std::size_t i) {
+        return std::min<std::int64_t>(now_.samples[i], top) * top_level / top;
+    };
+    std::array<std::int64_t, top_level + 1> levels{};
+    for (std::size_t i = 0; i < num; ++i) {
+        if (is_bright[i] & (is_changed_[i] ^ 1)) ++levels[static_cast<std::size_t>(level_of(i))];
+    }
+    const auto most = std::max_element(levels.begin(), levels.end());
+    if (*most * rarely_filled < num_bright) return 0.0;
+    std::int64_t num_same = 0, num_bright_of_level = 0;
+    for (std::size_t i = 0; i < num; ++i) {
+        if (level_of(i) != most - levels.begin()) continue;
+        num_same += is_changed_[i] ^ 1;
+        num_bright_of_level += is_bright[i];
+    }
+    const auto share = [](std::int64_t part, auto all) { return static_cast<double>(part) / static_cast<double>(all); };
+    if (*most == 0 || share(*most, num_bright_of_level) <= filled_share) return 0.0;
+    return std::min(share(num_same, num), share(*most, num_bright));
+}
+
+void ImageComparer::keep() {
+    std::uint64_t sum = 0;
+    for (std::size_t first = 0; first < now_.samples.size(); first += num_at_once) {
+        const std::uint16_t* samples = now_.samples.data() + first;
+        sum += std::accumulate(samples, samples + std::min(num_at_once, now_.samples.size() - first), 0U);
+    }
+    const auto mean = static_cast<std::uint32_t>(sum / std::max<std::size_t>(1, now_.samples.size()));
+    std::rotate(are_bright_.begin(), are_bright_.begin() + 1, are_bright_.end());
+    are_bright_.back().resize(now_.samples.size());
+    std::transform(now_.samples.begin(), now_.samples.end(), are_bright_.back().begin(),
+                   [mean](std::uint16_t sample) { return static_cast<std::uint16_t>(sample > mean); });
+}
+
+void ImageComparer::forget_samples() {
+    for (auto& is_bright : are_bright_) is_bright.clear();
+    was_changed_.clear();
+}
+
+void ImageComparer::reset() {
+    now_ = Digest();
+    forget_samples();
+}
+
 bool ImageComparer::compare(const ImageView& image, std::int32_t top, ImageChange& change) {
     const bool is_u8 = image.pixel_type == PixelType::u8;
     std::swap(before_, now_);
@@ -207,6 +324,7 @@ bool ImageComparer::compare(const ImageView& image, std::int32_t top, ImageChang
     is_u8 ? digest<std::uint8_t>(image, found) : digest<std::uint16_t>(image, found);
     if (before_.width_px != now_.width_px || before_.height_px != now_.height_px ||
         before_.pixel_type != now_.pixel_type) {
+        forget_samples();
         return false;
     }
     const Grid grid(image);
@@ -218,6 +336,7 @@ bool ImageComparer::compare(const ImageView& image, std::int32_t top, ImageChang
         changes_[i] = std::max(now_.blocks[i], before_.blocks[i]) - std::min(now_.blocks[i], before_.blocks[i]);
     }
     change.num_samples = static_cast<std::int64_t>(changes_.size());
+    compare_samples(top, change);
     const auto first = [](std::int64_t tile, std::int64_t num) {
         return static_cast<std::size_t>((tile * num + num_change_tiles - 1) / num_change_tiles);
     };
@@ -231,7 +350,6 @@ bool ImageComparer::compare(const ImageView& image, std::int32_t top, ImageChang
             for (std::size_t i = left; i < right; ++i) num_changed += now[i] != before[i];
             num_samples += static_cast<std::int64_t>(right - left);
         }
-        change.num_changed += num_changed;
         change.tiles[static_cast<std::size_t>(tile)] =
             num_samples ? static_cast<double>(num_changed) / static_cast<double>(num_samples) : 1.0;
     }

@@ -240,6 +240,10 @@ void test_changes_of_images_of_any_size() {
         for (Pixel& pixel : scene.pixels) pixel = static_cast<Pixel>(pixel + 1);
         expect(comparer.compare(scene.view, 255, change) && change.num_changed == change.num_samples,
                "every sample of a brighter image has changed");
+        expect(change.num_bright == change.num_samples, "without a reference all samples are bright");
+        for (int i = 0; i < 3; ++i) comparer.keep();
+        expect(comparer.compare(scene.view, 255, change) && change.num_bright < change.num_samples,
+               "not all samples are brighter than their mean");
     }
     comparer.reset();
     expect(!comparer.compare(Scene<Pixel>(131, 97, 3, 5).view, 255, change), "nothing is known after a reset");

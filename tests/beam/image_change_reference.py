@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 BLOCK_PX, SQUARE_PX, NUM_TILES, ROW_STEP = 8, 16, 8, 7
 EDGE_LEVELS, RARE = 10, 1000
+FILLED_SHARE, RARELY_FILLED = 0.9, 20
 NUM_PIECES, NUM_COLUMNS = 8, 160
 
 
@@ -43,6 +44,48 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
         "share_flat_pieces": share_flat(now, NUM_PIECES if now.shape[1] >= NUM_PIECES else 1),
         "pair_ratios": pair_ratios(now),
     }
+
+
+def samples_of(image: NDArray[Any]) -> NDArray[np.int64]:
+    """One pixel of each block."""
+    height, width = min(BLOCK_PX, image.shape[0]), min(BLOCK_PX, image.shape[1])
+    num_down, num_across = image.shape[0] // height, image.shape[1] // width
+    blocks = image[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
+    return blocks[:, height // 2, :, width // 2].astype(np.int64)
+
+
+def reference_parts(images: list[NDArray[Any]], reference: NDArray[Any] | None, top: int) -> dict[str, float]:
+    """By name, what says whether parts are stuck: of the last of two or three images, none of which came twice.
+
+    `reference` is the image that says what is bright; all is without one.
+    """
+    now, before = samples_of(images[-1]), samples_of(images[-2])
+    is_changed = now != before
+    was_changed = before != samples_of(images[-3]) if len(images) == 3 else np.full(now.shape, fill_value=True)
+    is_bright = np.full(now.shape, fill_value=True)
+    if reference is not None:
+        is_bright = samples_of(reference) > samples_of(reference).mean().astype(np.int64)
+    levels = now * 255 // top
+    is_same = ~is_changed
+    share_filled = 0.0
+    if (is_same & is_bright).any():
+        is_level = levels == np.bincount(levels[is_same & is_bright]).argmax()
+        share = is_same[is_bright & is_level].mean()
+        if share > FILLED_SHARE and (is_same & is_level)[is_bright].mean() >= 1 / RARELY_FILLED:
+            share_filled = min((is_same & is_level).mean(), (is_same & is_level)[is_bright].mean())
+    means = [now[is_changed & part].mean() if (is_changed & part).any() else 0.0 for part in (is_bright, ~is_bright)]
+    return {
+        "num_bright": int(np.count_nonzero(is_bright)),
+        "share_stuck": min(share_stuck(is_changed[part], was_changed[part]) for part in (is_bright, is_bright | True)),
+        "share_filled": share_filled,
+        "contrast": (means[0] - means[1]) * 255 / top,
+    }
+
+
+def share_stuck(is_changed: NDArray[np.bool_], was_changed: NDArray[np.bool_]) -> float:
+    """The share that never changes, if what changes is drawn anew each time."""
+    share_twice = (is_changed & was_changed).mean() if is_changed.size else 0.0
+    return 1.0 - is_changed.mean() * was_changed.mean() / share_twice if share_twice else 0.0
 
 
 def share_flat(image: NDArray[Any], num_pieces: int) -> float:

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmarks.image_faults import (
     CODINGS,
     FAULTS,
     NUM_GOOD,
     NUM_WRONG,
+    RATE_HZ,
     as_coded,
     faults_of,
     lost_packets,
@@ -171,6 +173,53 @@ def test_a_part_that_shows_old_images_in_turn(drive: list[Image], part: float, n
     faults = faults_of(images)
     assert not any(faults[:NUM_GOOD])
     assert all(faults[NUM_GOOD + 1 :])
+
+
+STRIPES = [f"{form} {px}" for form in ("even", "uneven") for px in (8, 24, 48)]
+SCATTERED = [
+    *itertools.product(STRIPES, (None, 0, 3)),
+    *itertools.product(["tiles 8", "tiles 16", "tiles 32"], (None,)),
+    *itertools.product(["tiles 64"], (0, 3)),
+]
+"""Upright stripes and tiles of so many pixels, together about a fifth of the image, that are stuck or have a value."""
+
+
+def scattered(form: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which pixels of an image the parts have."""
+    rng = np.random.default_rng(7)
+    name, side = form.split()
+    px, (height, width) = int(side), shape
+    is_part = np.zeros(shape, np.bool_)
+    if name == "even":
+        is_part[:, np.arange(width) % (5 * px) < px] = True
+    while is_part.mean() < 0.2:
+        row, column = rng.integers(0, height // px) * px, rng.integers(0, width - px)
+        is_part[slice(None) if name == "uneven" else slice(row, row + px), column : column + px] = True
+    return is_part
+
+
+@pytest.mark.parametrize(("form", "value"), SCATTERED)
+def test_scattered_parts_that_are_stuck_or_dark(drive: list[Image], form: str, value: int | None) -> None:
+    images = with_noise(drive)
+    is_part = scattered(form, images[0].shape)
+    for image in images[NUM_GOOD:]:
+        image[is_part] = images[NUM_GOOD - 1][is_part] if value is None else value
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("value", [None, 3])
+def test_scattered_parts_for_as_long_as_they_last(drive: list[Image], value: int | None) -> None:
+    """Until they count as the scene, 10 s later."""
+    scene = np.concatenate([drive, drive[::-1]])
+    images = with_noise([scene[number % len(scene)] for number in range(NUM_GOOD + 10 * RATE_HZ)])
+    is_part = scattered("even 16", images[0].shape)
+    for image in images[NUM_GOOD:]:
+        image[is_part] = images[NUM_GOOD - 1][is_part] if value is None else value
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
 
 
 @pytest.mark.parametrize("value", [0, 10, 30, 80])
@@ -369,6 +418,16 @@ def test_out_of_the_light(drive: list[Image], coding: str) -> None:
     images = as_coded([*drive[:NUM_GOOD], *darker], CODINGS[coding])
     for rate_hz in (5.0, 18.0, 60.0):
         assert not any(faults_of(images, is_moving=True, rate_hz=rate_hz))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 2.0])
+@pytest.mark.parametrize("num", [1, 3, 10])
+def test_exposure_and_tunnels(drive: list[Image], share: float, num: int) -> None:
+    """Light that falls or rises within some images, and comes back."""
+    fall, rise = np.geomspace(1.0, share, num + 1)[1:], np.geomspace(share, 1.0, num + 1)[1:]
+    gains = np.concatenate([np.ones(30), fall, np.full(20, share), rise, np.ones(90)])
+    scene = [np.clip(image * gain, 0, 255) for image, gain in zip(drive, gains, strict=False)]
+    assert not any(GuardFault.DAMAGED in found for found in faults_of(with_noise(scene)))
 
 
 def test_a_vehicle_that_has_passed(drive: list[Image]) -> None:

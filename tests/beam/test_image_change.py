@@ -10,7 +10,7 @@ import pytest
 
 import foreglow._native as _native
 from foreglow.beam.image_change import ImageComparer
-from tests.beam.image_change_reference import reference_change
+from tests.beam.image_change_reference import reference_change, reference_parts
 
 SIZES = [
     (1, 1),
@@ -52,6 +52,47 @@ def test_equals_the_reference(shape: tuple[int, int], dtype: Any, top: int) -> N
         assert change is not None
         for name, expected in reference_change(before, now, top).items():
             np.testing.assert_allclose(getattr(change, name), expected, rtol=1e-12, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.uint16, 4095), (np.uint16, 1000)])
+@pytest.mark.parametrize("shape", SIZES)
+@pytest.mark.parametrize("with_references", [False, True])
+def test_parts_equal_the_reference(shape: tuple[int, int], dtype: Any, top: int, with_references: bool) -> None:
+    rng = np.random.default_rng(6)
+    sequence = [
+        rng.integers(0, 4, shape).astype(dtype) * (top // 9) + rng.integers(0, 3, shape).astype(dtype) for _ in range(8)
+    ]
+    filled = np.arange(shape[1]) % 24 < 8
+    for number, image in enumerate(sequence):
+        image[shape[0] // 2 :] += dtype(top // 4)
+        if number >= 5:
+            image[:, filled] = top // 2
+    comparer = _native.ImageComparer()
+    for number, image in enumerate(sequence):
+        change = comparer.compare(image, top)
+        if change is not None:
+            reference = sequence[number - 3] if with_references and number >= 3 else None
+            expected = reference_parts(sequence[max(0, number - 2) : number + 1], reference, top)
+            for name, value in expected.items():
+                np.testing.assert_allclose(getattr(change, name), value, rtol=1e-12, atol=1e-12, err_msg=name)
+        if with_references:
+            comparer.keep()
+
+
+def test_the_share_that_is_stuck_does_not_depend_on_the_noise_nor_on_images_that_come_twice() -> None:
+    rng = np.random.default_rng(7)
+    is_stuck = np.arange(1280) % 80 < 16
+    scene = rng.uniform(40, 80, (960, 1280))
+    for noise in (0.8, 1.5, 5.0):
+        comparer = ImageComparer()
+        first = rng.normal(scene, noise).round().astype(np.uint8)
+        for number in range(4):
+            image = rng.normal(scene, noise).round().astype(np.uint8)
+            image[:, is_stuck] = first[:, is_stuck]
+            changes = [comparer.compare(image, 255) for _ in range(2)]
+            if number >= 2:
+                assert changes[0] is not None
+                assert changes[0].share_stuck == pytest.approx(0.2, abs=0.04)
 
 
 def test_any_strides_and_neither_size_nor_type_compared_with_another() -> None:

@@ -104,6 +104,15 @@ most of those stuck behind an encoder of 8 Mbit/s fall below .1. At 1 Mbit/s noi
 ALIVE_SHARE, MIN_ALIVE = 0.75, 0.25
 """But only while so large a share of these tiles stays above this share: less light has less noise everywhere."""
 
+STUCK_RISE, NOISY_STUCK_SHARE, MIN_BRIGHT = 0.1, 0.08, 200
+"""Damage: `share_stuck` exceeds the greatest of the recent images by more than this, where that was no more than the
+second number: each had noise; of at least so many samples. Measured: what is stuck in stripes or tiles adds its area,
+raw, MJPEG and 8 Mbit/s; moving .01 at most, at 1 Mbit/s .07; at a tenth of the light, with the noise of light, .04."""
+
+CONTRAST_STAYS = 0.6
+"""But this does not begin where `contrast` has fallen below this share of the usual one: with the light, the noise ends
+where a sensor or an encoder has none in the dark."""
+
 DAMAGE_HOLD_S = 0.5
 """What was damaged is taken for damaged for so long: later images of a stream follow from it."""
 
@@ -174,6 +183,8 @@ class CameraWatch:
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
             is_damaged |= self._damage.update(change, pieces, one_value, known, timestamp_ns, is_still=is_still)
+            if not is_damaged:
+                self._comparer.keep()
         if is_damaged:
             faults.append(GuardFault.DAMAGED)
         if is_saturated:
@@ -284,7 +295,11 @@ class _Damage:
             if not is_still:
                 had_old_parts = self._had_old_parts
                 self._had_old_parts = self.has_old_parts(known)
-                is_unusual |= self._has_stuck_tiles(change) or (had_old_parts and self._had_old_parts)
+                is_unusual |= (
+                    self._has_stuck_tiles(change)
+                    or self._has_stuck_samples(change)
+                    or (had_old_parts and self._had_old_parts)
+                )
             if is_unusual or has_edges:
                 self._damaged_ns = timestamp_ns
             if not (is_unusual or is_still):
@@ -306,6 +321,8 @@ class _Damage:
         self._known_shares: deque[float] = deque(maxlen=NUM_RECENT)
         self._single_share = 0.0
         self._had_old_parts = False
+        self._is_stuck = False
+        self._changes: deque[ImageChange] = deque(maxlen=NUM_RECENT)
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns = None
@@ -341,12 +358,27 @@ class _Damage:
             self._could_be_stuck = _same_tiles(change.tile_shares, np.minimum.reduce(list(self._tile_shares)))
         return int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
 
+    def _has_stuck_samples(self, change: ImageChange) -> bool:
+        """Whether parts of whatever form are as before, twice in a row, or of one value, in the light there was."""
+        if len(self._changes) < NUM_RECENT or change.num_bright < MIN_BRIGHT:
+            return False
+        stuck = max(usual.share_stuck for usual in self._changes)
+        filled = max(usual.share_filled for usual in self._changes)
+        is_noisy = min(usual.share_changed for usual in self._changes) > FRESH_SHARE
+        is_noisy &= max(stuck, filled) <= NOISY_STUCK_SHARE
+        has_risen = change.share_stuck > stuck + STUCK_RISE or change.share_filled > filled + STUCK_RISE
+        contrast = statistics.median(usual.contrast for usual in self._changes)
+        is_lit = self._is_stuck or change.contrast > CONTRAST_STAYS * contrast
+        self._is_stuck = is_noisy and has_risen and is_lit
+        return self._is_stuck
+
     def _learn(self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts) -> None:
         """Counts an image as usual, but for what would be damage in two images."""
         self._repeated.append(change.share_repeated)
         self._flat.append(change.share_flat_rows)
         self._rough.append(pieces.share_rough)
         self._one_value.append(one_value)
+        self._changes.append(change)
         if self._had_old_parts:  # of a fault the first; of an encoder that sends next to nothing of some images, alone
             self._single_share = known.share
         else:

@@ -3,7 +3,7 @@
 A camera that moves changes every image. A frozen one does not, but an encoder behind it does, a little: it refines the
 same picture for a few frames, and again at each key frame. A damaged stream changes the image in squares of the
 encoder's grid, repeats rows, or leaves a part of the image as it was. None of these measures knows a codec; all of them
-are counted on means and lines of the image, never on all of its pixels.
+are counted on means, lines and samples of the image, never on all of its pixels.
 """
 
 from __future__ import annotations
@@ -28,6 +28,13 @@ class ImageChange:
     Attributes:
         strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds.
         share_changed: Share of the sampled pixels, one of each block, that are not the same as before.
+        num_bright: Of the same samples, those that were bright some images ago.
+        share_stuck: Estimated share of the samples that do not change at all, while new noise changes a share of the
+            others each time, whatever share: `1 - c d / b` of the shares that changed now, before, and both times. Of
+            all samples and of the bright ones, the lesser: the dark may be without noise. Negative by chance.
+        share_filled: Share of the samples that are as before and of one grey level, where nearly all samples of that
+            level are as before that were bright; of all samples and of the bright ones, the lesser.
+        contrast: How much brighter the bright samples are than the others, in the mean of those not as before.
         tile_shares: Shape (8, 8), the same share in each tile of the image; 1 where a tile has no such pixel.
         share_repeated: Share of the rows, every seventh of them, that are the same as the row below. Noise makes no two
             rows of a camera alike, but where all is black.
@@ -43,6 +50,10 @@ class ImageChange:
 
     strongest: float
     share_changed: float
+    num_bright: int
+    share_stuck: float
+    share_filled: float
+    contrast: float
     tile_shares: NDArray[np.float64]
     share_repeated: float
     share_flat_rows: float
@@ -58,8 +69,12 @@ class ImageComparer:
     def __init__(self) -> None:
         self._comparer = _native.ImageComparer()
 
+    def keep(self) -> None:
+        """Makes the latest image one that, after two others, says which samples are bright: those above the mean."""
+        self._comparer.keep()
+
     def reset(self) -> None:
-        """Forgets the image before."""
+        """Forgets the image before, and those that say what is bright."""
         self._comparer.reset()
 
     def compare(self, image: Image, top: int) -> ImageChange | None:
@@ -75,6 +90,10 @@ class ImageComparer:
         return ImageChange(
             strongest=change.strongest,
             share_changed=change.num_changed / change.num_samples,
+            num_bright=change.num_bright,
+            share_stuck=change.share_stuck,
+            share_filled=change.share_filled,
+            contrast=change.contrast,
             tile_shares=change.tiles,
             share_repeated=change.num_repeated_rows / max(1, change.num_rows),
             share_flat_rows=change.share_flat_rows,
