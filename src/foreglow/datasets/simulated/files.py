@@ -292,7 +292,7 @@ def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
 
 def has_truth(root: Path) -> bool:
     """Whether the split in the folder `root` is simulated, also one that has lost its `info.json`."""
-    return _info_path(root).exists() or bool(finished_sequences(root))
+    return _info_path(root).exists() or any((root / "simulation").glob("S[0-9]*/frames.jsonl"))
 
 
 def sequence_name(sequence_id: int) -> str:
