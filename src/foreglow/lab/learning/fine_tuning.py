@@ -57,8 +57,8 @@ WAYS = tuple(way / 20 for way in range(20, -1, -1))
 """How far the weights move, of the way from those of the start to the trained ones: the first that loses little."""
 
 MAX_LOSS = 0.008
-"""Average precision that may be lost on the old samples of any camera, by either way to label them. Chance alone gives
-the worst of these twelve figures up to .007, where whole drives lose no more than .003."""
+"""Average precision that may be lost on the old samples of any camera, by either way to label them. They are few: the
+worst of these twelve figures was .007 and .006 where whole drives had lost .002 and .006."""
 
 MAX_REPEATS = 8
 """A user's samples are seen up to this often in an epoch, until they are as many as the old ones; or the old ones."""
