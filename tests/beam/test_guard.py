@@ -94,6 +94,7 @@ def test_guard_imports_no_policy() -> None:
         "faults",
         "camera_watch",
         "image_change",
+        "image_damage",
         "image_pieces",
         "known_images",
         "led_bounds",

@@ -1,0 +1,258 @@
+"""Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts.
+
+Each constant says what of an image is damage, beside the recent images, and what was measured.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foreglow.beam.image_change import ImageChange
+from foreglow.beam.image_pieces import PieceMeasures
+from foreglow.beam.known_images import KnownParts
+
+NUM_RECENT = 18
+"""Images that say what is usual; a second of them at the paper's rate."""
+
+FRESH_SHARE = 0.4
+"""Noise is new where more of the samples than this have changed. Measured: raw, MJPEG and 8 Mbit/s above .65 when
+moving; frozen below .35, but for single key frames."""
+
+NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
+"""Damage: more new edges on the encoder's grid than this, by both measures."""
+
+REPEATED_SHARE, NOISY_REPEATED_SHARE = 0.4, 0.2
+"""Damage: so many more rows than in any of the recent images are like the row below, such as where a decoder fills in
+black. Where an encoder transmits no noise, more rows become alike as it gets darker, but not in a single image. The
+second number holds where no row was alike before, as in every image with noise."""
+
+FLAT_SHARE = 0.25
+"""Damage: so many more rows of a single value than in any of the recent images. Measured: 0 in moving images, but where
+it suddenly becomes dark in one of 320x240 at 0.045 bits a pixel, which may be taken for damage; missing halves .4."""
+
+FLAT_PIECES_SHARE, NOISY_FLAT_SHARE = 0.04, 0.02
+"""Damage: in two images more pieces of rows of a single value than this, where no recent image had more than
+the second number: each had noise. Measured: such streams rise by .006 at most in one image when moving; where noise is
+not transmitted, dark areas are flat without any damage."""
+
+PAIR_SHARES = np.array([[0.85], [0.5]])
+"""Damage: in two images in a row, both `pair_ratios` of pairs of rows are below these shares of the least recent ones.
+Measured: never both below 1.3 times these when moving; rows that are repeated behind encoders: .04 to .77, 0 to .38."""
+
+KNOWN_SHARE, NOISY_KNOWN_SHARE = 0.1, 0.02
+"""Damage: in two images in a row, more than this share of the pieces of rows are, pixel by pixel, those of earlier
+images, where none of the recent images had more than the second number: each had noise. So it is where a decoder or a
+driver fills only a part of an old buffer. Pieces of a single value do not count. Measured: 0 in the drive that ships,
+raw, MJPEG, 8 Mbit/s, and at a quarter of its light; .6 in single images at 1 Mbit/s, for which little is sent."""
+
+TWO_WITHIN_S = 0.5
+"""Two images of those that are damage only if there are two of a kind: intact ones may come between."""
+
+ROUGH_SHARE = 0.1
+"""Damage: so many more pieces of rows than in any of the recent images are noise far above a camera's."""
+
+TWICE_SHARE = 0.2
+"""Damage: so many rows show their left half once more at the right. Noise makes no two halves alike."""
+
+ONE_VALUE_SHARE = 0.05
+"""Damage: so many more samples than usual of one and the same value, neither dark nor white: a decoder's filling."""
+
+STUCK_SHARE, NUM_STUCK_TILES = 0.25, 4
+"""Damage: in so many of the 64 tiles where the noise is usually new, the share of changed samples falls below this
+share of the least recent one, in two images in a row. Measured: moving and raw, MJPEG or 8 Mbit/s, no tile is below .5;
+most of those stuck behind an encoder of 8 Mbit/s fall below .1. At 1 Mbit/s noise is not transmitted."""
+
+ALIVE_SHARE, MIN_ALIVE = 0.75, 0.25
+"""But only while so large a share of these tiles stays above this share: less light has less noise everywhere."""
+
+STUCK_RISE, NOISY_STUCK_SHARE, MIN_BRIGHT = 0.1, 0.08, 200
+"""Damage: `share_stuck` exceeds the greatest of the recent images by more than this, where that was no more than the
+second number: each had noise; of at least so many samples. Measured: what is stuck in stripes or tiles adds its area,
+raw, MJPEG and 8 Mbit/s; moving .01 at most, at 1 Mbit/s .07; at a tenth of the light, with the noise of light, .04."""
+
+CONTRAST_STAYS = 0.6
+"""But this does not begin where `contrast` has fallen below this share of the usual one: with the light, the noise ends
+where a sensor or an encoder has none in the dark."""
+
+DAMAGE_HOLD_S = 0.5
+"""What was damaged is taken for damaged for so long: later images of a stream follow from it."""
+
+RELEARN_S = 10.0
+"""What is unusual for longer than this is how the scene is; what is usual is learnt anew."""
+
+
+class ImageDamage:
+    """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts.
+
+    An image that is still as a whole says nothing about its parts: it is not usual, nor between two others in a row.
+    """
+
+    def __init__(self) -> None:
+        self._usual_ns: int | None = None
+        self._had_old_parts = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the images so far."""
+        self._forget()
+        self._damaged_ns: int | None = None
+
+    def update(
+        self,
+        change: ImageChange | None,
+        pieces: PieceMeasures,
+        one_value: float,
+        known: KnownParts,
+        timestamp_ns: int,
+        *,
+        is_still: bool,
+    ) -> bool:
+        """Whether the image is damaged, or one shortly before it was.
+
+        Args:
+            change: What differs from the image before.
+            pieces: What the pieces of its rows say.
+            one_value: Share of the image with one and the same value.
+            known: What of the image was there before.
+            timestamp_ns: The time of the image.
+            is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
+        """
+        if change is None:
+            self._forget()
+        else:
+            has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
+            is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
+            if not is_still:
+                had_old_parts = self._had_old_parts
+                self._had_old_parts = self.has_old_parts(known)
+                is_unusual |= (
+                    self._has_stuck_tiles(change)
+                    or self._has_stuck_samples(change)
+                    or (had_old_parts and self._had_old_parts)
+                )
+            if is_unusual or has_edges:
+                self._damaged_ns = timestamp_ns
+            if not (is_unusual or is_still):
+                self._learn(change, pieces, one_value, known)
+                self._usual_ns = timestamp_ns
+            elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
+                self._forget()
+        return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
+
+    def _forget(self) -> None:
+        self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
+        self._flat: deque[float] = deque(maxlen=NUM_RECENT)
+        self._flat_pieces: deque[float] = deque(maxlen=NUM_RECENT)
+        self._flat_twice = _Twice()
+        self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
+        self._has_pairs = False
+        self._rough: deque[float] = deque(maxlen=NUM_RECENT)
+        self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
+        self._known_shares: deque[float] = deque(maxlen=NUM_RECENT)
+        self._single_share = 0.0
+        self._had_old_parts = False
+        self._is_stuck = False
+        self._changes: deque[ImageChange] = deque(maxlen=NUM_RECENT)
+        self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
+        self._could_be_stuck: NDArray[np.bool_] = np.array(False)
+        self._usual_ns = None
+
+    def has_old_parts(self, known: KnownParts) -> bool:
+        """Whether parts of the image, but not all of it, were there before, although every image had new noise."""
+        is_noisy = len(self._known_shares) == NUM_RECENT and max(self._known_shares) <= NOISY_KNOWN_SHARE
+        return is_noisy and not known.is_repeated and known.share > KNOWN_SHARE
+
+    def _has_unusual_content(
+        self, change: ImageChange, pieces: PieceMeasures, one_value: float, timestamp_ns: int
+    ) -> bool:
+        """Whether the image itself is not as recent ones are, or the second one where one may be so by chance."""
+        is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE) or pieces.share_twice > TWICE_SHARE
+        if len(self._repeated) >= 2:
+            most = max(self._repeated)
+            is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
+            is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
+            is_unusual |= pieces.share_rough > max(self._rough) + ROUGH_SHARE
+        is_noisy = len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE
+        has_flat = is_noisy and change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
+        is_unusual |= self._flat_twice.update(has_flat, timestamp_ns)
+        had_pairs, self._has_pairs = self._has_pairs, False
+        if len(self._pair_ratios) == NUM_RECENT:
+            are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
+            self._has_pairs = bool(are_fallen.all(axis=0).any())
+        return is_unusual or (had_pairs and self._has_pairs)
+
+    def _has_stuck_tiles(self, change: ImageChange) -> bool:
+        """Whether parts are as before, in the second image in a row of those not still."""
+        could_be_stuck, self._could_be_stuck = self._could_be_stuck, np.array(False)
+        if len(self._tile_shares) == NUM_RECENT:
+            self._could_be_stuck = _same_tiles(change.tile_shares, np.minimum.reduce(list(self._tile_shares)))
+        return int(np.count_nonzero(could_be_stuck & self._could_be_stuck)) >= NUM_STUCK_TILES
+
+    def _has_stuck_samples(self, change: ImageChange) -> bool:
+        """Whether parts of whatever form are as before, twice in a row, or of one value, in the light there was."""
+        if len(self._changes) < NUM_RECENT or change.num_bright < MIN_BRIGHT:
+            return False
+        stuck = max(usual.share_stuck for usual in self._changes)
+        filled = max(usual.share_filled for usual in self._changes)
+        is_noisy = min(usual.share_changed for usual in self._changes) > FRESH_SHARE
+        is_noisy &= max(stuck, filled) <= NOISY_STUCK_SHARE
+        has_risen = change.share_stuck > stuck + STUCK_RISE or change.share_filled > filled + STUCK_RISE
+        contrast = statistics.median(usual.contrast for usual in self._changes)
+        is_lit = self._is_stuck or change.contrast > CONTRAST_STAYS * contrast
+        self._is_stuck = is_noisy and has_risen and is_lit
+        return self._is_stuck
+
+    def _learn(self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts) -> None:
+        """Counts an image as usual, but for what would be damage in two images."""
+        self._repeated.append(change.share_repeated)
+        self._flat.append(change.share_flat_rows)
+        self._rough.append(pieces.share_rough)
+        self._one_value.append(one_value)
+        self._changes.append(change)
+        if self._had_old_parts:  # of a fault the first; of an encoder that sends next to nothing of some images, alone
+            self._single_share = known.share
+        else:
+            self._known_shares.append(max(known.share, self._single_share))
+            self._single_share = 0.0
+        if not self._flat_twice.is_latest:
+            self._flat_pieces.append(change.share_flat_pieces)
+        if not self._has_pairs:
+            self._pair_ratios.append(change.pair_ratios)
+        if np.count_nonzero(self._could_be_stuck) < NUM_STUCK_TILES:
+            self._tile_shares.append(change.tile_shares)
+
+
+class _Twice:
+    """Whether there were two images of a kind of which one alone may come by chance, with intact ones between or not.
+
+    Attributes:
+        is_latest: Whether the latest image is of the kind.
+    """
+
+    def __init__(self) -> None:
+        self.is_latest = False
+        self._before_ns: int | None = None
+
+    def update(self, is_so: bool, timestamp_ns: int) -> bool:
+        """Whether the next image is of the kind, and another one shortly before it was."""
+        self.is_latest = is_so
+        if not is_so:
+            return False
+        before_ns, self._before_ns = self._before_ns, timestamp_ns
+        return before_ns is not None and 0 < timestamp_ns - before_ns <= TWO_WITHIN_S * 1e9
+
+
+def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which tiles hardly change, of those where the noise is usually new, while others change as ever."""
+    is_fresh = least > FRESH_SHARE
+    num_alive = np.count_nonzero(is_fresh & (shares > ALIVE_SHARE * least))
+    is_same: NDArray[np.bool_] = is_fresh & (shares < STUCK_SHARE * least)
+    return is_same & np.bool_(num_alive >= MIN_ALIVE * np.count_nonzero(is_fresh))
+
+
+def _has_risen(share: float, recent: deque[float], by: float) -> bool:
+    return len(recent) >= 2 and share > statistics.median(recent) + by
