@@ -174,6 +174,12 @@ void sum_jumps(const ImageView& image, const Grid& grid, std::int64_t line, std:
     }
 }
 
+// Where in its block a sample lies: anywhere, as if by chance, so that no pattern of rows or columns is missed.
+std::int64_t place_of_sample(std::size_t block, std::int64_t block_side, int shift) {
+    const auto mixed = static_cast<std::uint32_t>(block) * 2654435761U;  // Knuth's multiplicative hashing
+    return (mixed >> shift & 0xff) * block_side >> 8;
+}
+
 // Counts where the two differ by more than `limit`, at every other place on its own: counts[0] and counts[1].
 void count_edges(const std::int32_t* now, const std::int32_t* before, std::int64_t num, std::int32_t limit,
                  std::int64_t* counts) {
@@ -211,12 +217,12 @@ void ImageComparer::digest(const ImageView& image, ImageChange& change) {
         for (std::int64_t y = top; y < bottom; ++y) rows.take(y);
         if (j == grid.num_down) break;
         sum_columns<Pixel, Sum>(image, top, grid.block_height, column_sums.data());
-        const Pixel* middle = image.row<Pixel>(top + grid.block_height / 2);
         for (std::int64_t i = 0; i < grid.num_across; ++i) {
             const Sum* block = sums + i * grid.block_width;
             const auto index = static_cast<std::size_t>(j * grid.num_across + i);
             now_.blocks[index] = std::accumulate(block, block + grid.block_width, 0U);
-            now_.samples[index] = middle[i * grid.block_width + grid.block_width / 2];
+            const Pixel* row = image.row<Pixel>(top + place_of_sample(index, grid.block_height, 24));
+            now_.samples[index] = row[i * grid.block_width + place_of_sample(index, grid.block_width, 16)];
         }
         if (j / 2 >= grid.segments_down) continue;
         std::int32_t* jumps = now_.vertical.data() + j / 2 * grid.lines_across;

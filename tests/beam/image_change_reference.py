@@ -22,7 +22,7 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
     num_down, num_across = now.shape[0] // height, now.shape[1] // width
     blocks = wide[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
     changes = np.abs(blocks.sum(axis=(1, 3))) * (1.0 / (unit * height * width))
-    is_changed = blocks[:, height // 2, :, width // 2] != 0
+    is_changed = samples_of(before) != samples_of(now)
     down, across = np.arange(num_down) * NUM_TILES // num_down, np.arange(num_across) * NUM_TILES // num_across
     tiles = np.ones((NUM_TILES, NUM_TILES))
     for row, column in itertools.product(set(down), set(across)):
@@ -47,11 +47,14 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
 
 
 def samples_of(image: NDArray[Any]) -> NDArray[np.int64]:
-    """One pixel of each block."""
+    """One pixel of each block, anywhere in it."""
     height, width = min(BLOCK_PX, image.shape[0]), min(BLOCK_PX, image.shape[1])
     num_down, num_across = image.shape[0] // height, image.shape[1] // width
-    blocks = image[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
-    return blocks[:, height // 2, :, width // 2].astype(np.int64)
+    numbers = np.arange(num_down * num_across).reshape(num_down, num_across)
+    mixed = numbers * 2654435761 % 2**32
+    rows = numbers // num_across * height + (mixed >> 24) * height // 256
+    columns = numbers % num_across * width + (mixed >> 16) % 256 * width // 256
+    return image[rows, columns].astype(np.int64)
 
 
 def reference_parts(images: list[NDArray[Any]], reference: NDArray[Any] | None, top: int) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """Roads in an OpenDRIVE file (.xodr).
 
 The reader takes the reference line (line, arc, spiral, paramPoly3), elevation, superelevation, the lane offset and the
-widths of the driving lanes, whose middle is the centre line. It ignores lane heights, crossfall and shape. The frame is
+widths of the lanes up to the last driving one; the middle of the driving lanes is the centre line. It ignores lane heights, crossfall and shape. The frame is
 the file's own; its geo-reference is not evaluated, so poses must be in the same metres.
 
 Source: ASAM OpenDRIVE 1.4 to 1.8.
@@ -63,11 +63,11 @@ def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     count.add(length_m, origin)
     ways_m = np.append(np.arange(0.0, length_m - 1e-3, STEP_M), length_m)
     reference = _reference(road, ways_m, origin)
-    widths = _widths_m(road, ways_m, origin)
-    if widths is None:
+    edges = _edges_m(road, ways_m, origin)
+    if edges is None:
         return None
-    left_m, right_m = widths
-    middle_m = _cubics(road.findall("lanes/laneOffset"), ways_m, "s", origin) + (left_m - right_m) / 2
+    right_m, left_m = edges
+    middle_m = _cubics(road.findall("lanes/laneOffset"), ways_m, "s", origin) + (left_m + right_m) / 2
     roll_rad = _cubics(road.findall("lateralProfile/superelevation"), ways_m, "s", origin)
     if not (np.abs(roll_rad) <= MAX_ROLL_RAD).all():
         worst_rad = float(np.abs(roll_rad).max())
@@ -86,8 +86,9 @@ def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     if len(whole) < 2:
         return None
     check_points(whole[:, :3], origin)
-    check_width(float(np.mean(left_m + right_m)), f"{origin}: lanes")
-    return CentreLine(whole[:, :3], float(np.mean(left_m + right_m)) / 2, whole[:, 3])
+    width_m = float(np.mean(left_m - right_m))
+    check_width(width_m, f"{origin}: lanes")
+    return CentreLine(whole[:, :3], width_m / 2, whole[:, 3])
 
 
 def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
@@ -175,23 +176,37 @@ def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> F
     return np.asarray(a + ds_m * (b + ds_m * (c + ds_m * d)))
 
 
-def _widths_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
-    """Widths of the driving lanes left and right of the lane offset, shape (N,) each; None without such lanes."""
+def _edges_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
+    """Right and left edge of the driving lanes, shape (N,) each, to the left of the lane offset; None without such lanes.
+
+    What lies between driving lanes, such as a median, belongs to them. Both edges are 0 where a section has none.
+    """
     sections = road.findall("lanes/laneSection")
     if not sections:
-        return np.full(len(ways_m), LANE_WIDTH_M), np.full(len(ways_m), LANE_WIDTH_M)
+        return np.full(len(ways_m), -LANE_WIDTH_M), np.full(len(ways_m), LANE_WIDTH_M)
     sections = sorted(sections, key=lambda section: number_of(section, "s", origin))
     begins_m = np.array([number_of(section, "s", origin) for section in sections])
     numbers = np.clip(np.searchsorted(begins_m, ways_m + 1e-9, side="right") - 1, 0, None)
-    sides = {"left": np.zeros(len(ways_m)), "right": np.zeros(len(ways_m))}
+    right_m, left_m = np.full(len(ways_m), np.inf), np.full(len(ways_m), -np.inf)
     for number, section in enumerate(sections):
         here = slice(*np.searchsorted(numbers, (number, number + 1)))
-        for side, sums_m in sides.items():
-            for lane in section.findall(f"{side}/lane"):
-                if lane.get("type", "driving") in DRIVEN_LANES:
-                    if lane.find("border") is not None:
-                        raise ValueError(f"{origin}: lane {lane.get('id')}: expected <width>, got <border>, not read")
-                    sums_m[here] += _cubics(lane.findall("width"), ways_m[here] - begins_m[number], "sOffset", origin)
-    if not (sides["left"] + sides["right"] > 0).any():
+        for side, sign in (("left", 1), ("right", -1)):
+            lanes = sorted(section.findall(f"{side}/lane"), key=lambda lane: abs(number_of(lane, "id", origin)))
+            are_driven = [lane.get("type", "driving") in DRIVEN_LANES for lane in lanes]
+            inner_m = np.zeros(len(ways_m[here]))
+            while any(are_driven):  # from the middle to the last one, with what lies before it
+                lane, is_driven = lanes.pop(0), are_driven.pop(0)
+                if lane.find("border") is not None:
+                    raise ValueError(f"{origin}: lane {lane.get('id')}: expected <width>, got <border>, not read")
+                width_m = _cubics(lane.findall("width"), ways_m[here] - begins_m[number], "sOffset", origin)
+                outer_m = inner_m + width_m
+                if is_driven:
+                    is_there = width_m > 0
+                    ends_m = np.sort([sign * inner_m[is_there], sign * outer_m[is_there]], axis=0)
+                    right_m[here][is_there] = np.minimum(right_m[here][is_there], ends_m[0])
+                    left_m[here][is_there] = np.maximum(left_m[here][is_there], ends_m[1])
+                inner_m = outer_m
+    has_lane = left_m > right_m
+    if not has_lane.any():
         return None
-    return sides["left"], sides["right"]
+    return np.where(has_lane, right_m, 0.0), np.where(has_lane, left_m, 0.0)
