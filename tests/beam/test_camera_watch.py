@@ -93,6 +93,15 @@ def test_a_covered_lens_whatever_its_black_is(drive: list[Image], level: int, no
     assert all(GuardFault.BLACK in found for found in faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize(("level", "noise"), [(8, 3.0), (10, 6.0), (25, 8.0), (40, 8.0), (30, 12.0)])
+def test_a_covered_lens_under_any_noise_at_the_first_image(drive: list[Image], level: int, noise: float) -> None:
+    rng = np.random.default_rng(3)
+    covered = [rng.normal(level, noise, drive[0].shape).clip(0, 255).astype(np.uint8) for _ in range(NUM_WRONG)]
+    faults = faults_of([*drive[:NUM_GOOD], *covered])
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD:])
+
+
 @pytest.mark.parametrize("coding", ["raw", "MJPEG"])
 @pytest.mark.parametrize("picture", ["frozen", "test pattern", "none"])
 @pytest.mark.parametrize("noise", [2.0, 5.0])
@@ -207,6 +216,33 @@ def test_scattered_parts_that_are_stuck_or_dark(drive: list[Image], form: str, v
     faults = faults_of(images)
     assert not any(faults[:NUM_GOOD])
     assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
+
+
+STUCK_PIXELS = (
+    "x % 2 == 0",
+    "x % 2 == 1",
+    "x % 4 == 1",
+    "x % 8 != 3",
+    "x % 8 < 4",
+    "x % 3 != 0",
+    "y % 8 != 4",
+    "y % 17 != 0",
+    "(x + y) % 2 == 0",
+    "(x % 2 == 0) & (y % 2 == 0)",
+    "(x * 7919 + y * 104729) % 1009 < 706",
+)
+
+
+@pytest.mark.parametrize("form", STUCK_PIXELS)
+def test_pixels_of_any_pattern_that_are_stuck(drive: list[Image], form: str) -> None:
+    images = with_noise(drive)
+    y, x = np.indices(images[0].shape)
+    is_stuck = eval(form, {"x": x, "y": y})
+    for image in images[NUM_GOOD:]:
+        image[is_stuck] = images[NUM_GOOD - 1][is_stuck]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + 1 :])
 
 
 @pytest.mark.parametrize("value", [None, 3])

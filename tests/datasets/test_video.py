@@ -100,6 +100,45 @@ def test_frames_come_one_at_a_time(clip: Path) -> None:
     assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
 
 
+@pytest.mark.parametrize("suffix", [".avi", ".mkv", ".mp4"])
+@pytest.mark.parametrize("codec", ["libx264", "mpeg2video", "mpeg4"])
+def test_pictures_that_are_decoded_in_another_order(tmp_path: Path, codec: str, suffix: str) -> None:
+    path = tmp_path / f"clip{suffix}"
+    with av.open(str(path), "w") as container:
+        choice = {"b_strategy": "0"} if codec == "libx264" else {}
+        stream: Any = container.add_stream(codec, rate=25, options={"bf": "3", **choice})
+        stream.width, stream.height, stream.pix_fmt, stream.bit_rate = 96, 72, "yuv420p", 2_000_000
+        for index in range(NUM_FRAMES):
+            picture = av.VideoFrame.from_ndarray(np.full((72, 96, 3), 8 * index, np.uint8), format="rgb24")
+            picture.pts, picture.time_base = index, Fraction(1, 25)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    frames = list(Video(path))
+    assert [round(float(frame.image.mean()) / 8) for frame in frames] == list(range(NUM_FRAMES))
+    begin_ns = frames[0].timestamp_ns
+    assert [frame.timestamp_ns - begin_ns for frame in frames] == [40_000_000 * index for index in range(NUM_FRAMES)]
+
+
+def test_times_that_go_back_a_little_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "clip.mkv"
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("mjpeg", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuvj420p"
+        packets = []
+        for index in range(6):
+            picture = av.VideoFrame.from_ndarray(np.full((72, 96, 3), 8 * index, np.uint8), format="rgb24")
+            picture.pts, picture.time_base = index, Fraction(1, 25)
+            packets += stream.encode(picture)
+        for number, (packet, time) in enumerate(zip(packets, (0, 1, 3, 2, 4, 5), strict=True)):
+            packet.pts, packet.dts = time, number - 3
+            container.mux(packet)
+    with pytest.raises(ValueError, match=r"clip\.mkv: frame 3: expected a time from 0\.12 s on, .*, got 0\.08 s"):
+        list(Video(path))
+    video = Video(path, on_error="skip")
+    assert [frame.frame for frame in video] == [0, 1, 2, 4, 5]
+    assert len(video.skipped) == 1
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_a_file_cut_in_the_middle(tmp_path: Path, suffix: str) -> None:
     data = make_video(tmp_path / f"whole{suffix}").read_bytes()

@@ -9,6 +9,8 @@ from foreglow.maps import CentreLine, RoadMap, read_road_map
 from foreglow.street import LANE_WIDTH_M
 from tests.maps.roads import pose
 
+Lanes = tuple[tuple[str, float], ...]
+
 LANES = """
 <lanes>{offset}
  <laneSection s="0">
@@ -76,6 +78,31 @@ def test_the_middle_of_the_driving_lanes(tmp_path: Path) -> None:
     offset = '<laneOffset s="10" a="1" b="0.1" c="0" d="0"/>'
     line = only(read(tmp_path, road(plan, 40, LANES.format(offset=offset, right=3))))
     np.testing.assert_allclose(line.points_m[[5, 10, 30], 1], [0.0, 1.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "middle_m", "half_width_m"),
+    [
+        ((), (("none", 4), ("driving", 3.5), ("driving", 3.5)), -7.5, 3.5),
+        ((), (("median", 2), ("driving", 3.5)), -3.75, 1.75),
+        ((), (("driving", 3.5), ("biking", 2), ("driving", 3.5)), -4.5, 4.5),
+        ((("driving", 3), ("shoulder", 2)), (), 1.5, 1.5),
+        ((("median", 2), ("driving", 3.5)), (("median", 2), ("driving", 3.5), ("shoulder", 1)), 0.0, 5.5),
+        ((("sidewalk", 5),), (("stop", 1), ("driving", 3)), -2.5, 1.5),
+    ],
+)
+def test_what_lies_before_the_driving_lanes(
+    tmp_path: Path, left: Lanes, right: Lanes, middle_m: float, half_width_m: float
+) -> None:
+    def lanes(side: str, sign: int, given: Lanes) -> str:
+        one = '<lane id="{}" type="{}"><width sOffset="0" a="{}" b="0" c="0" d="0"/></lane>'
+        numbered = [one.format(sign * number, *lane) for number, lane in enumerate(given, start=1)]
+        return f"<{side}>{''.join(reversed(numbered))}</{side}>"
+
+    section = f'<lanes><laneSection s="0">{lanes("left", 1, left)}{lanes("right", -1, right)}</laneSection></lanes>'
+    line = only(read(tmp_path, road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, section)))
+    assert line.half_width_m == pytest.approx(half_width_m)
+    np.testing.assert_allclose(line.points_m[:, 1], middle_m)
 
 
 def test_heights_and_banking(tmp_path: Path) -> None:

@@ -32,6 +32,11 @@ CONTRAST_SHARE = 0.5
 Measured, in shares of the greatest value: a covered lens with noise of 3 grey levels .02; the drive that ships at least
 .17, at a quarter of its light .07; two real videos of motorways .25."""
 
+NOISE_CONTRAST, MAX_NOISE_CONTRAST = 9.0, 0.07
+"""So it is if they differ by no more than so many times the noise of their means, and than the second number: of 5,000
+pieces of nothing but noise, the brightest and the darkest are 7.6 times it apart at most, and in moving images at least
+14 times, at a quarter of the light and under noise of 6 grey levels. From noise of 9 on an image is damaged."""
+
 STILL_SHARE = 0.4
 """An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
 cameras, two images in a row stay above .6 of it; frozen behind an encoder of 0.3 to 8 Mbit/s they are below .1."""
@@ -95,13 +100,15 @@ class CameraWatch:
         self._brightest = max(self._brightest, brightest)
         white = self._config.white_level
         top = white or _top(image, self._brightest)
-        num_white = np.count_nonzero(sample >= (white or NEAR_TOP * top))
+        num_white = np.count_nonzero(sample >= NEAR_TOP * top)
         is_saturated = num_white > self._config.max_saturated * sample.size
         rows = image[::EVERY_ROW]
         pieces = self._pieces.update(rows, top)
         greatest = white or int(np.iinfo(image.dtype).max)
         is_black = brightest <= self._config.min_bright * greatest
-        is_black |= not is_saturated and pieces.contrast <= CONTRAST_SHARE * self._config.min_bright
+        least = CONTRAST_SHARE * self._config.min_bright
+        by_noise = min(NOISE_CONTRAST * pieces.noise, MAX_NOISE_CONTRAST)
+        is_black |= not is_saturated and pieces.contrast <= max(least, by_noise)
         change = self._comparer.compare(image, greatest)
         known = self._known_images.update(rows)
         has_old_parts = self._damage.has_old_parts(known)

@@ -156,7 +156,7 @@ class ImageDamage:
         self._single_share = 0.0
         self._had_old_parts = False
         self._is_stuck = False
-        self._changes: deque[ImageChange] = deque(maxlen=NUM_RECENT)
+        self._changes: deque[ImageChange] = deque(maxlen=NUM_RECENT + 1)
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns = None
@@ -194,14 +194,15 @@ class ImageDamage:
 
     def _has_stuck_samples(self, change: ImageChange) -> bool:
         """Whether parts of whatever form are as before, twice in a row, or of one value, in the light there was."""
-        if len(self._changes) < NUM_RECENT or change.num_bright < MIN_BRIGHT:
+        usual = list(self._changes)[:-1]  # the image before may be the first that is stuck
+        if len(usual) < NUM_RECENT or change.num_bright < MIN_BRIGHT:
             return False
-        stuck = max(usual.share_stuck for usual in self._changes)
-        filled = max(usual.share_filled for usual in self._changes)
-        is_noisy = min(usual.share_changed for usual in self._changes) > FRESH_SHARE
+        stuck = max(each.share_stuck for each in usual)
+        filled = max(each.share_filled for each in usual)
+        is_noisy = min(each.share_changed for each in usual) > FRESH_SHARE
         is_noisy &= max(stuck, filled) <= NOISY_STUCK_SHARE
         has_risen = change.share_stuck > stuck + STUCK_RISE or change.share_filled > filled + STUCK_RISE
-        contrast = statistics.median(usual.contrast for usual in self._changes)
+        contrast = statistics.median(each.contrast for each in usual)
         is_lit = self._is_stuck or change.contrast > CONTRAST_STAYS * contrast
         self._is_stuck = is_noisy and has_risen and is_lit
         return self._is_stuck

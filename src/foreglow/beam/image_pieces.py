@@ -33,6 +33,9 @@ LEAST_NOISE = 1e-3
 """Median change, in shares of the greatest value, below which an encoder has removed the noise, or it was never new."""
 
 
+MEDIAN_STEP = 0.954
+"""The median of the difference of two values of Gaussian noise, in its standard deviations."""
+
 NUM_ROUGH_PIECES, ROUGH_STEP = 8, 0.04
 """A piece of a row, one of so many, is rough where neighbouring pixels differ by more than this share of the greatest
 value in the mean; Gaussian noise does so from 9 grey levels on."""
@@ -48,12 +51,14 @@ class PieceMeasures:
 
     Attributes:
         contrast: The difference of the brightest and the darkest piece, in shares of the greatest value.
+        noise: Standard deviation of the noise of a piece's mean, by how much neighbouring pieces differ in the median.
         is_noise: Whether noise alone has changed since the image before.
         share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
         share_twice: Share of the rows whose right half is the left one, pixel by pixel.
     """
 
     contrast: float
+    noise: float
     is_noise: bool
     share_rough: float
     share_twice: float
@@ -93,10 +98,20 @@ class ImagePieces:
             )
         return PieceMeasures(
             contrast=float(means.max() - means.min()),
+            noise=_noise(means),
             is_noise=is_noise,
             share_rough=_share_rough(rows, top),
             share_twice=_share_twice(rows, top),
         )
+
+
+def _noise(means: Floats) -> float:
+    steps = np.abs(np.diff(means, axis=1)).ravel()
+    if not steps.size:
+        return 0.0
+    middle = steps.size // 2
+    steps.partition(middle)
+    return float(steps[middle]) / MEDIAN_STEP
 
 
 def _share_rough(rows: Image, top: int) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -44,7 +44,7 @@ MAX_RATE_HZ = 1000
 """A raw stream that says more of itself has no rate that a camera has."""
 
 _RESTART_NS = 1_000_000_000
-"""Where times go back by more than this, another recording begins; by less, a frame is late."""
+"""Where times go back by more than this, another recording begins; by less, the frame is refused."""
 
 _CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
 
@@ -95,6 +95,8 @@ class Video(FileSource):
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
             self._is_counted = "mp4" in container.format.name
+            # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
+            self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
@@ -124,8 +126,12 @@ class Video(FileSource):
         index, latest, sequence, reached_ns = -1, (0, 0), "", 0
         try:
             with self._opened() as (container, stream):
-                for picture, is_damaged in decoded(_Whole(container), stream):
+                whole = _Whole(container)
+                for picture, is_damaged in decoded(whole, stream):
                     index += 1
+                    time = whole.times.popleft() if whole.times else None
+                    if picture is not None and self._is_reordered and time is not None:
+                        picture.pts = time
                     if picture is not None and picture.pts is not None and picture.time_base:
                         end = (int(picture.pts) + (picture.duration or 0)) * Fraction(picture.time_base)
                         reached_ns = max(reached_ns, round(end * 1_000_000_000))
@@ -135,6 +141,10 @@ class Video(FileSource):
                     timestamp_ns = self._timestamp_ns(index, picture, latest)
                     if index and timestamp_ns < latest[1] - _RESTART_NS:
                         sequence = f"frame {index}"
+                    elif index and timestamp_ns < latest[1]:
+                        expected = f"expected a time from {latest[1] / 1e9:.6g} s on, that of the frame before"
+                        self._refuse(f"{self.path}: frame {index}: {expected}, got {timestamp_ns / 1e9:.6g} s")
+                        continue
                     latest = index, timestamp_ns
                     frame = self._frame(index, picture, timestamp_ns, is_damaged=is_damaged)
                     yield dataclasses.replace(frame, sequence=sequence)
@@ -192,10 +202,16 @@ class Video(FileSource):
 
 
 class _Whole:
-    """A container that notices where its video goes on as another stream, as after a restart of the recorder."""
+    """A container that notices where its video goes on as another stream, as after a restart of the recorder.
+
+    Attributes:
+        times: When each picture is decoded that has been read, in units of the stream, None if not stated. Pictures are
+            shown at these times, too, in another order; who takes a picture takes the first of them.
+    """
 
     def __init__(self, container: Any) -> None:
         self._container = container
+        self.times: deque[int | None] = deque()
 
     def demux(self, stream: Any) -> Iterator[Any]:
         """The packets of `stream`.
@@ -210,6 +226,8 @@ class _Whole:
         for packet in self._container.demux(video_streams(self._container)):
             if packet.stream is stream:
                 num_ours.update(num_others.keys() if packet.size else ())
+                if packet.size:
+                    self.times.append(packet.dts)
                 yield packet
             elif packet.size:
                 num_others[packet.stream.index] += 1

@@ -1,8 +1,9 @@
 """Roads in an OpenDRIVE file (.xodr).
 
 The reader takes the reference line (line, arc, spiral, paramPoly3), elevation, superelevation, the lane offset and the
-widths of the lanes up to the last driving one; the middle of the driving lanes is the centre line. It ignores lane heights, crossfall and shape. The frame is
-the file's own; its geo-reference is not evaluated, so poses must be in the same metres.
+widths of the lanes up to the last driving one. The middle of the driving lanes is the centre line. It ignores lane
+heights, crossfall and shape. The frame is the file's own; its geo-reference is not evaluated, so poses must be in the
+same metres.
 
 Source: ASAM OpenDRIVE 1.4 to 1.8.
 """
@@ -177,7 +178,7 @@ def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> F
 
 
 def _edges_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
-    """Right and left edge of the driving lanes, shape (N,) each, to the left of the lane offset; None without such lanes.
+    """Right and left edge of the driving lanes, shape (N,) each, left of the lane offset; None without such lanes.
 
     What lies between driving lanes, such as a median, belongs to them. Both edges are 0 where a section has none.
     """
