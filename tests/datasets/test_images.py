@@ -351,7 +351,7 @@ def test_nothing_warns() -> None:
     [None, np.full((2, 2, 3), np.nan), *(np.zeros((2, 2, 3), dtype) for dtype in (np.int32, np.bool_, np.complex64))],
 )
 def test_what_is_no_image_has_no_colour(array: Any) -> None:
-    with pytest.raises(ValueError, match="^image: ") as grey:
+    with pytest.raises(ValueError, match=r"^image: ") as grey:
         to_grey(array)
     with pytest.raises(ValueError, match=re.escape(str(grey.value))):
         red_chroma(array)
