@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreglow.geometry import Camera, Pose, rotation
+from foreglow.geometry import Camera, MountSigmas, Pose, rotation
 
 ANGLES = st.floats(-3.0, 3.0)
 NOWHERE = Pose(np.zeros(3), np.eye(3))
@@ -113,6 +113,32 @@ def test_a_scaled_camera_sees_the_same_directions() -> None:
 def test_bad_cameras(changes: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="Camera"):
         camera(**changes)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("focal_px", 5, "expected 2 numbers, got 5"),
+        ("focal_px", ("a", "b"), "expected numbers, got "),
+        ("centre_px", None, "expected numbers, got None"),
+        ("distortion", (0.0,) * 4, "expected 5 numbers, got "),
+        ("distortion", [[0.0], [0.0, 1.0]], "expected numbers, got "),
+        ("width_px", "1280", "expected a whole number, got '1280'"),
+        ("height_px", 960.5, "expected a whole number, got 960.5"),
+        ("vehicle_from_camera", None, "expected Pose, got NoneType"),
+        ("mount_sigmas", 0.1, "expected MountSigmas, got float"),
+    ],
+)
+def test_a_camera_refuses_values_of_another_type(field: str, value: object, complaint: str) -> None:
+    with pytest.raises(ValueError, match=rf"^Camera\.{field}: {complaint}"):
+        camera(**{field: value})
+
+
+def test_a_mount_refuses_what_are_no_numbers() -> None:
+    with pytest.raises(ValueError, match=r"^Pose\.position_m: expected numbers, got 'here'"):
+        Pose("here", np.eye(3))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^MountSigmas\.roll_rad: expected a number, got None"):
+        MountSigmas(roll_rad=None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("centre_px", [(-2560.0, 3520.0), (3840.0, -2560.0), (640.0, 480.0)])

@@ -279,6 +279,40 @@ def test_too_many_tracks_are_refused() -> None:
         Pipeline(tracker=ManyTracks).step(shipped_frames(1)[0])
 
 
+class Astray(NoTracks):
+    """Says that a track has a box that is not there."""
+
+    def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:  # noqa: ARG002
+        whole, number = np.ones(1, np.int64), np.ones(1)
+        there = whole * len(detections)
+        return Tracks(
+            whole, whole, np.array([[1.0, 1.0, 5.0, 5.0]]), number, whole, whole, number, number, number, there
+        )
+
+
+def test_tracks_of_boxes_that_are_not_there_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"tracker\.method: expected tracks of the (\d+) boxes .*, got box \1$"):
+        Pipeline(tracker=Astray).step(shipped_frames(1)[0])
+
+
+def test_vehicles_in_no_state_end_a_command_where_they_are_made(folder: Path) -> None:
+    """They were written as they are, which failed where nobody knew of the plug-in any more."""
+    (folder / "stateless.py").write_text(
+        "import numpy as np\nfrom foreglow import Tracks, Vehicles\nfrom tests.test_plugins import NoTracks\n"
+        "class Stateless(NoTracks):\n"
+        "    def update(self, frame, detections, ranges):\n"
+        "        whole, number = np.ones(1, np.int64), np.ones(1)\n"
+        "        vehicles = Vehicles(whole, 99 * whole, number, whole > 0, whole, whole - 1)\n"
+        "        box = np.array([[1.0, 1.0, 5.0, 5.0]])\n"
+        "        return Tracks(whole, whole, box, *[number, whole, whole, number, number, number, -whole],\n"
+        "                      vehicles=vehicles)\n"
+    )
+    (folder / "car.toml").write_text('[tracker]\nmethod = "stateless:Stateless"\n')
+    arguments = ("--limit", 1, "--config", folder / "car.toml", "--out", folder / "out")
+    line = complaint("run", shipped_drive(), *arguments)
+    assert "stateless.py, line 7: the plug-in raised ValueError: Vehicles.states: expected numbers from 0 to 2" in line
+
+
 # The guard
 
 

@@ -123,6 +123,21 @@ def test_detections_refuse_unfit_scores(scores: Any, complaint: str) -> None:
         Detections(Proposals(BOXES), scores, 0.5)
 
 
+@pytest.mark.parametrize("threshold", [None, math.nan, math.inf, "x"])
+def test_detections_refuse_what_is_no_threshold(threshold: Any) -> None:
+    with pytest.raises(ValueError, match=r"^Detections\.score_threshold: expected a (finite )?number, got"):
+        Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), threshold)
+
+
+@pytest.mark.parametrize("other", [None, (1, 2), BOXES])
+def test_boxes_are_of_their_kind(other: Any) -> None:
+    name = type(other).__name__
+    with pytest.raises(ValueError, match=rf"^Detections\.proposals: expected Proposals, got {name}"):
+        Detections(other, np.array([0.5, 0.9], np.float32), 0.5)
+    with pytest.raises(ValueError, match=rf"^Ranges\.detections: expected Detections, got {name}"):
+        Ranges(other, np.ones(2), np.ones(2))
+
+
 @pytest.mark.parametrize(
     ("light_kinds", "complaint"),
     [
@@ -187,6 +202,11 @@ GIVEN: dict[str, Any] = {"points_m": ROAD, "half_width_m": 3.2}
         ({"cross_slopes": np.full(3, -1e10)}, r"cross_slopes: expected numbers of at most 1e\+09, got 1e\+10"),
         ({"cross_slopes": np.zeros(2)}, r"cross_slopes: expected 3 finite numbers"),
         ({"error_bound_m": np.nan}, "error_bound_m: expected a number of at least 0, got nan"),
+        ({"error_bound_m": None}, "error_bound_m: expected a number, got None"),
+        ({"half_width_m": "wide"}, "half_width_m: expected a number, got 'wide'"),
+        ({"points_m": {}}, r"^RoadAhead\.points_m: expected numbers, got \{\}"),
+        ({"points_m": [[1.0, 2.0, 3.0], [1.0]]}, r"^RoadAhead\.points_m: expected numbers, got \[\["),
+        ({"cross_slopes": None}, "cross_slopes: expected numbers, got None"),
     ],
 )
 def test_a_road_refuses_unfit_fields(fields: dict[str, Any], complaint: str) -> None:
@@ -202,6 +222,46 @@ def test_a_road_without_cross_slopes_is_level() -> None:
 def test_motion_refuses_numbers_that_are_none(fields: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=f"EgoMotion.{next(iter(fields))}: expected a finite number"):
         EgoMotion(**({"speed_mps": 20.0, "yaw_rate_radps": 0.0} | fields))
+
+
+@pytest.mark.parametrize("value", ["x", None, [1.0], 10**400])
+@pytest.mark.parametrize("name", ["speed_mps", "yaw_rate_radps", "pitch_rad"])
+def test_motion_refuses_what_is_no_number(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=rf"^EgoMotion\.{name}: expected a number, got "):
+        EgoMotion(**({"speed_mps": 20.0, "yaw_rate_radps": 0.0} | {name: value}))
+
+
+def command(**changed: Any) -> BeamCommand:
+    fields: dict[str, Any] = {
+        "timestamp_ns": 7,
+        "mode": BeamMode.GLARE_FREE,
+        "levels": np.full((2, 3), 0.5),
+        "gaps_rad": np.array([[-0.1, 0.1], [0.2, 0.3]]),
+        "gap_ranges_m": np.array([20.0, np.nan]),
+    }
+    return BeamCommand(**(fields | changed))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        *(("mode", value, "expected a BeamMode, got") for value in ("x", 77, None)),
+        *(("timestamp_ns", value, "expected nanoseconds as a whole number") for value in (None, math.nan, 2**80)),
+        *(("faults", value, "expected a tuple of names, got") for value in (3, "dark", (object(),), ["dark"])),
+        *(
+            ("gap_ranges_m", np.array([value, 9.0]), "expected numbers of at least 0, or NaN, got")
+            for value in (-5.0, -math.inf, math.inf)
+        ),
+        ("gaps_rad", np.array([[-1e308, 0.1], [0.2, 0.3]]), "expected borders in order and apart, at most a full turn"),
+        ("gaps_rad", np.array([[-0.1, 0.1], [0.2, 1e308]]), "expected borders in order and apart, at most a full turn"),
+        ("gaps_rad", np.array([[-0.1, 0.1], [0.05, 0.3]]), "expected borders in order and apart"),
+        ("gaps_rad", np.array([[-0.1, 0.1], [0.2, np.nan]]), "expected borders in order and apart"),
+    ],
+)
+def test_a_command_refuses_unfit_fields(field: str, value: Any, complaint: str) -> None:
+    assert type(command(timestamp_ns=np.int64(7)).timestamp_ns) is int
+    with pytest.raises(ValueError, match=rf"^BeamCommand\.{field}: {complaint}"):
+        command(**{field: value})
 
 
 def test_a_frame_refuses_the_calibration_of_another_size() -> None:
@@ -309,6 +369,8 @@ def vehicles(**changed: NDArray[Any]) -> Vehicles:
     [
         ({"ids": np.array([5, 2])}, r"Vehicles.ids: expected ascending numbers, got \[5, 2\]"),
         ({"states": np.zeros(2)}, "Vehicles.states: expected int64"),
+        ({"states": np.array([1, 99])}, r"Vehicles.states: expected numbers from 0 to 2, got \[1, 99\]"),
+        ({"states": np.array([-1, 1])}, r"Vehicles.states: expected numbers from 0 to 2, got \[-1, 1\]"),
         ({"is_in_sight": np.zeros(3, np.bool_)}, r"Vehicles.is_in_sight: .* got bool of shape \(3,\)"),
         ({"confidences": np.array([0.5, 1.5])}, "Vehicles.confidences: expected numbers from 0 to 1"),
         ({"of_tracks": [5, 2]}, r"Vehicles.of_tracks: expected int64 of shape \(N,\), got list"),

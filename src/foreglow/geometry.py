@@ -10,6 +10,7 @@ A rotation `world_from_vehicle` has the vehicle's forward, left and up as column
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -37,6 +38,39 @@ distortion folds over there."""
 
 NUM_CHECKED_NODES = 33
 """Pixels a side, corners included, at which the distortion of a calibration is undone when it is read."""
+
+
+def floats_of(field: str, values: object) -> Floats:
+    """A copy of `values`, a number or numbers of any shape, as float64.
+
+    Raises:
+        ValueError: If they are something else; the message begins with `field`.
+
+    >>> floats_of("Pose.position_m", {})
+    Traceback (most recent call last):
+    ValueError: Pose.position_m: expected numbers, got {}
+    """
+    with contextlib.suppress(ValueError):  # lists of several lengths
+        array = np.array(values)
+        if array.dtype.kind in "biuf":
+            return array.astype(np.float64)
+    raise ValueError(f"{field}: expected numbers, got {values!r:.80}")
+
+
+def number_of(field: str, value: object) -> float:
+    """`value`, perhaps NaN or infinite, as a plain number.
+
+    Raises:
+        ValueError: If it is no number, or one that a float cannot hold; the message begins with `field`.
+
+    >>> number_of("EgoMotion.speed_mps", "fast")
+    Traceback (most recent call last):
+    ValueError: EgoMotion.speed_mps: expected a number, got 'fast'
+    """
+    if isinstance(value, int | float | np.integer | np.floating):
+        with contextlib.suppress(OverflowError):
+            return float(value)
+    raise ValueError(f"{field}: expected a number, got {value!r:.40}")
 
 
 def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
@@ -84,7 +118,7 @@ class Pose:
     rotation: Floats
 
     def __post_init__(self) -> None:
-        position, turned = np.array(self.position_m, np.float64), np.array(self.rotation, np.float64)
+        position, turned = floats_of("Pose.position_m", self.position_m), floats_of("Pose.rotation", self.rotation)
         if position.shape != (3,) or not np.isfinite(position).all():
             raise ValueError(f"Pose.position_m: expected three finite numbers, got {self.position_m!r}")
         is_rotation = turned.shape == (3, 3) and np.allclose(turned @ turned.T, np.eye(3), atol=1e-6)
@@ -128,7 +162,7 @@ class MountSigmas:
 
     def __post_init__(self) -> None:
         for name in ("yaw_rad", "pitch_rad", "roll_rad", "height_m"):
-            if not 0.0 <= getattr(self, name) < np.inf:
+            if not 0.0 <= number_of(f"MountSigmas.{name}", getattr(self, name)) < np.inf:
                 raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {getattr(self, name)}")
 
 
@@ -189,7 +223,8 @@ class Camera:
         mount_sigmas: How well that pose is known.
 
     Raises:
-        ValueError: If a size is not positive, or a number is not finite or not of a lens.
+        ValueError: If a field is of a wrong type or number, a size is not positive, or a number is not finite or not of
+            a lens.
     """
 
     width_px: int
@@ -201,8 +236,18 @@ class Camera:
     mount_sigmas: MountSigmas = MountSigmas()
 
     def __post_init__(self) -> None:
+        for name in ("width_px", "height_px"):
+            if not isinstance(getattr(self, name), int | np.integer):
+                raise ValueError(f"Camera.{name}: expected a whole number, got {getattr(self, name)!r:.40}")
         if self.width_px < 1 or self.height_px < 1:
             raise ValueError(f"Camera: expected a size of at least 1x1, got {self.width_px}x{self.height_px}")
+        for name, count in (("focal_px", 2), ("centre_px", 2), ("distortion", 5)):
+            if floats_of(f"Camera.{name}", getattr(self, name)).shape != (count,):
+                raise ValueError(f"Camera.{name}: expected {count} numbers, got {getattr(self, name)!r:.80}")
+        for name, kind in (("vehicle_from_camera", Pose), ("mount_sigmas", MountSigmas)):
+            if not isinstance(getattr(self, name), kind):
+                got = type(getattr(self, name)).__name__
+                raise ValueError(f"Camera.{name}: expected {kind.__name__}, got {got}")
         if not (min(self.focal_px) > 0 and max(self.focal_px) <= MAX_FOCAL_PX):
             expected = f"expected two positive numbers of at most {MAX_FOCAL_PX:g}"
             raise ValueError(f"Camera.focal_px: {expected}, got {self.focal_px}")

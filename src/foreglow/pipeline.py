@@ -44,11 +44,14 @@ def tracked(tracker: Tracker, frame: Frame, detections: Detections, ranges: Rang
     """The tracks that `tracker`, perhaps a plug-in, has after `frame`.
 
     Raises:
-        ValueError: If it returns anything else, or more than `MAX_TRACKS`.
+        ValueError: If it returns anything else, more than `MAX_TRACKS`, or tracks of boxes that are not there.
     """
     tracks = checked("tracker.method", tracker.update(frame, detections, ranges), Tracks)
     if len(tracks) > MAX_TRACKS:
         raise ValueError(f"tracker.method: expected at most {MAX_TRACKS} tracks of a frame, got {len(tracks)}")
+    if len(tracks) and tracks.detections.max() >= len(detections):
+        expected = f"expected tracks of the {len(detections)} boxes it was given"
+        raise ValueError(f"tracker.method: {expected}, got box {tracks.detections.max()}")
     if tracks.vehicles is None:
         return tracks
     return dataclasses.replace(tracks, vehicles=checked("tracker.method", tracks.vehicles, Vehicles))

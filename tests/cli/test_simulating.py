@@ -182,6 +182,20 @@ def test_a_vehicle_that_is_never_on_its_road(vehicle: str, said: str, tmp_path: 
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 
 
+@pytest.mark.parametrize("section", ["ego", "vehicles.1"])
+def test_a_low_beam_that_is_missing_is_told_before_anything_is_made(section: str, tmp_path: Path) -> None:
+    """A half-made data set remained, and an error that named neither scene nor field."""
+    file, lamp = tmp_path / "scene.toml", tmp_path / "none.ies"
+    table = "[ego]" if section == "ego" else "[[vehicles]]\n[[vehicles]]"
+    file.write_text(f'{table}\nlow_beam_file = "{lamp}"\n')
+    for command in (("simulate", "--scene", file, "--out", tmp_path / "out"), ("live", f"simulate:{file}")):
+        assert complaint(*command).startswith(f"foreglow: {file}: {section}.low_beam_file: {lamp}: no such file")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
+    lamp.write_text("no lamp")
+    words = complaint("simulate", "--scene", file, "--out", tmp_path / "out")
+    assert words.startswith(f"foreglow: {file}: {section}.low_beam_file: {lamp}: ")
+
+
 def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(foreglow("simulate", "--print", "crest", "--seed", 5).stdout)

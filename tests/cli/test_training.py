@@ -5,6 +5,8 @@ from __future__ import annotations
 import builtins
 import csv
 import json
+import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from foreglow.cli.learning import _worse_lines
+from foreglow.cli.learning import _training_lines, _worse_lines
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import evaluate_boxes
@@ -23,6 +25,7 @@ from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.fine_tuning import Judged
 from foreglow.lab.learning.recipes import RECIPES, read_recipe
+from foreglow.lab.learning.training_progress import Epoch, TrainingBar
 from foreglow.lab.learning.training_run import train_model
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
@@ -122,6 +125,28 @@ def test_single_splits_are_trained_on(data: Path, tmp_path: Path, options: list[
     assert f"{more}: expected at least one data set with a split val, got single splits alone" in line
 
 
+@pytest.mark.parametrize(
+    ("place", "complaint_of_it"),
+    [
+        ("day/val", "expected a split to train on, got one that judges what is learnt"),
+        ("day/other", "expected a split outside the data sets that are given, got one of "),
+        ("day/test", "expected a split to train on, got a test split, which is never learnt from"),
+    ],
+)
+def test_what_judges_is_never_learnt_from(
+    tmp_path: Path, options: list[object], place: str, complaint_of_it: str
+) -> None:
+    """All figures were too good then, without a word."""
+    data, out = make_drives(tmp_path / "own", num_images=1), tmp_path / "run"
+    if place != "day/val":
+        shutil.copytree(data / "day" / "train", data / place)
+    for extra in ([], ["--from", "foreglow"]):
+        command = options[2:] if not extra else ["--device", "cpu", "--config", tmp_path / "config.toml", "--mix", data]
+        line = complaint("train", data, data / place, *command, *extra, "--out", out)
+        assert f"foreglow: {data / place}: {complaint_of_it}" in line
+        assert not out.exists()
+
+
 def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options: list[object]) -> None:
     out = tmp_path / "run"
     first = foreglow_command(*options, "--out", out, "--epochs", 2)
@@ -147,9 +172,27 @@ def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: 
 
 
 def test_inputs_that_the_network_cannot_read(tmp_path: Path, options: list[object]) -> None:
-    (tmp_path / "quick.toml").write_text("[inputs]\nsize_px = 48\n")
+    path = tmp_path / "quick.toml"
+    for size_px in (1, 48):
+        path.write_text(f"[inputs]\nsize_px = {size_px}\n")
+        line = complaint(*options, "--out", tmp_path / "run", "--epochs", 1)
+        expected = "expected crops of 32 px, and what else the network both reads"
+        assert line.startswith(f"foreglow: {path}: inputs: {expected}, got InputSpec(size_px={size_px},")
+    path.write_text('network = "x"\n')
     line = complaint(*options, "--out", tmp_path / "run", "--epochs", 1)
-    assert "recipe: inputs: the network both cannot read InputSpec(size_px=48" in line
+    assert f"foreglow: {path}: network: expected one of paper, compact, related, both, got 'x'" in line
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_figure_that_is_undefined_is_a_dash(capsys: pytest.CaptureFixture[str]) -> None:
+    with TrainingBar() as bar:
+        bar.epoch(Epoch(1, 0.1, 0.5, 0.25, math.nan, 0.0, math.nan, math.nan, 2.0), 3)
+    assert "P – R 0.000 F – at a score > 0.5" in capsys.readouterr().err
+    figures: dict[str, Any] = {"temperature": 1.0, "shift": 0.0, "calibration_error": {"before": 0.5, "after": 0.25}}
+    figures |= {"precision": math.nan, "recall": 0.0, "f1": math.nan}
+    counts = {name: {"positive": 1, "negative": 1, "ignored": 0} for name in ("train", "val")}
+    summary = {"samples": counts, "validation": figures, "best_epoch": {"number": 1}, "num_epochs": 1}
+    assert "calibrated: P –, R 0.000, F – at a score" in "\n".join(_training_lines(summary, Path()))
 
 
 def test_a_data_set_without_validation(tmp_path: Path, options: list[object]) -> None:

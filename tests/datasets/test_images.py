@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import struct
 import tempfile
 import warnings
@@ -14,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from foreglow.datasets import read_image, to_grey
+from foreglow.datasets import read_image, red_chroma, to_grey
 from foreglow.datasets.images import MAX_SIDE_PX, MIN_SIDE_PX
 from tests.shared_data import shared_file
 
@@ -343,3 +344,14 @@ def test_nothing_warns() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         to_grey(np.full((2, 2, 3), 0.5))
+
+
+@pytest.mark.parametrize(
+    "array",
+    [None, np.full((2, 2, 3), np.nan), *(np.zeros((2, 2, 3), dtype) for dtype in (np.int32, np.bool_, np.complex64))],
+)
+def test_what_is_no_image_has_no_colour(array: Any) -> None:
+    with pytest.raises(ValueError, match=r"^image: ") as grey:
+        to_grey(array)
+    with pytest.raises(ValueError, match=re.escape(str(grey.value))):
+        red_chroma(array)

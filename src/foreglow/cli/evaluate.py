@@ -123,21 +123,15 @@ def _configuration(options: PipelineOptions, predictions: Path | None, threshold
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
+    from foreglow.lab.evaluation.boxes.box_quality import check_images
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
     from foreglow.runs.frames_file import has_tracks, read_tracks
-    from foreglow.runs.recorded_run import check_labels
 
     dataset = open_labelled(split)
     found, labels = read_predictions(predictions), read_split_labels(dataset, with_shares=True)
-    images = found.boxes_xyxy_px.keys()
-    if images and images.isdisjoint(labels.keypoints_px):
-        raise ValueError(
-            f"{predictions}: expected boxes in images of {split}, got those of others, such as {min(images)}"
-        )
-    if predictions.name == "frames.jsonl":
-        check_labels(predictions.parent, split)
+    check_images(predictions, found, split, labels.keypoints_px)
     examination = examine(labels, found, threshold, str(predictions))
-    if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(images)):
+    if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(found.scores)):
         examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):
         return examination

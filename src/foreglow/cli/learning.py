@@ -230,6 +230,10 @@ def train(
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
     given["max_negatives_per_positive"] = max_negatives
     chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
+    if recipe_file is not None and from_ is None:
+        from foreglow.lab.learning.networks import recipe_network
+
+        recipe_network(chosen, str(recipe_file))
     judged: tuple[Judged, ...] = ()
     check_own(out, TRAINING)
     if len({path.resolve() for path in data}) < len(data):
@@ -349,6 +353,7 @@ def _kept_lines(kept: dict[str, dict[str, list[float]]]) -> Iterator[str]:
 def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
     """What came of a training; the last line says how to use it."""
     from foreglow.display.summary_lines import counted
+    from foreglow.lab.reports.page import number
 
     counts, figures, best = summary["samples"], summary["validation"], summary["best_epoch"]
     lines = [
@@ -360,8 +365,8 @@ def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
         f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}",
         f"calibrated with temperature {figures['temperature']:.2f} and shift {figures['shift']:.2f}: calibration error "
         f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
-        f"on the validation boxes, calibrated: P {figures['precision']:.3f}, R {figures['recall']:.3f}, "
-        f"F {figures['f1']:.3f} at a score of 0.5",
+        f"on the validation boxes, calibrated: P {number(figures['precision'], 3)}, R {number(figures['recall'], 3)}, "
+        f"F {number(figures['f1'], 3)} at a score of 0.5",
     ]
     if not (folder / "curves.png").is_file():
         lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")

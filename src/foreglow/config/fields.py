@@ -60,9 +60,11 @@ def validated(model: type[Model], fields: Any, origin: str) -> Model:
 def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
     """One line about the first wrong field: what was expected, and what was found."""
     first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"]) or "configuration"
-    if first["type"] == "value_error":  # a check of our own, whose message is complete
-        return f"{field}.{first['ctx']['error']}"
+    field = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "value_error":  # a check of our own, which names the field in the one that it is of, if any
+        words = str(first["ctx"]["error"])
+        return words if not field else f"{field}: {words}" if words.startswith("expected ") else f"{field}.{words}"
+    field = field or "configuration"
     if first["type"] == "missing" and isinstance(first["input"], dict):
         return f"{field}: missing"
     if first["type"] == "extra_forbidden":

@@ -135,7 +135,21 @@ def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr
     >>> to_grey(np.full((1, 2, 3), 7, np.uint8)).tolist()
     [[7, 7]]
     """
-    prefix = f"{origin}: " if origin else ""
+    array = _checked_array(array, f"{origin}: " if origin else "")
+    if array.ndim == 3:
+        array = _without_colour(array, order)
+    if array.dtype.kind == "f":
+        return np.rint(array * np.float32(65535)).astype(np.uint16)
+    image: Image = array
+    return image
+
+
+def _checked_array(array: object, prefix: str) -> NDArray[Any]:
+    """`array` as uint8, uint16 or float32 in this machine's byte order, uncopied if it is already.
+
+    Raises:
+        ValueError: As `to_grey`.
+    """
     if not isinstance(array, np.ndarray):
         remedy = "; foreglow.read_image(path) reads one" if isinstance(array, str | PathLike) else ""
         raise ValueError(f"{prefix}image: expected a NumPy array, got {type(array).__name__}{remedy}")
@@ -144,17 +158,10 @@ def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr
     if array.size == 0:
         raise ValueError(f"{prefix}image: expected at least one pixel, got shape {array.shape}")
     if array.dtype.kind == "f":
-        array = _checked_floats(array, prefix)
-    elif array.dtype.kind != "u" or array.dtype.itemsize > 2:
+        return _checked_floats(array, prefix)
+    if array.dtype.kind != "u" or array.dtype.itemsize > 2:
         raise ValueError(f"{prefix}image: expected uint8, uint16 or float in [0, 1], got {array.dtype}")
-    elif not array.dtype.isnative:
-        array = array.astype(array.dtype.newbyteorder("="))
-    if array.ndim == 3:
-        array = _without_colour(array, order)
-    if array.dtype.kind == "f":
-        return np.rint(array * np.float32(65535)).astype(np.uint16)
-    image: Image = array
-    return image
+    return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
 def red_chroma(array: NDArray[Any], *, order: Literal["rgb", "bgr"] = "rgb") -> Chroma | None:
@@ -167,17 +174,21 @@ def red_chroma(array: NDArray[Any], *, order: Literal["rgb", "bgr"] = "rgb") -> 
         array: An image that `to_grey` takes.
         order: Order of its colour channels.
 
+    Raises:
+        ValueError: As `to_grey`.
+
     >>> red, white = np.zeros((2, 2, 3), np.uint8), np.full((2, 2, 3), 200, np.uint8)
     >>> red[..., 0] = 200
     >>> red_chroma(np.hstack([white, red])).tolist()
     [[128, 211]]
     """
+    array = _checked_array(array, "")
     if array.ndim != 3 or array.shape[2] < 3:
         return None
     weights = RED_CHROMA_OF_RGB if order == "rgb" else RED_CHROMA_OF_RGB[::-1]
     white = 1.0 if array.dtype.kind == "f" else float(np.iinfo(array.dtype).max)
     size = (-(-array.shape[1] // 2), -(-array.shape[0] // 2))
-    colours = np.ascontiguousarray(array[:, :, :3]).astype(array.dtype.newbyteorder("="), copy=False)
+    colours = np.ascontiguousarray(array[:, :, :3])
     half = cv2.resize(colours, size, interpolation=cv2.INTER_AREA).astype(np.float32)
     red = cv2.transform(half, 255.0 / white * np.array([weights]))
     return if_coloured(np.rint(np.clip(red + COLOURLESS, 0, 255)).astype(np.uint8))

@@ -11,7 +11,8 @@ from foreglow.types.boxes import Detections, Proposals, Ranges
 from foreglow.types.frame import MIN_STEP_S, EgoMotion, Frame, RoadAhead
 from foreglow.types.kinds import KINDS, LIGHT_KINDS
 from foreglow.types.result import FrameResult
-from foreglow.types.tracks import Tracks, TrackState
+from foreglow.types.states import TrackState
+from foreglow.types.tracks import Tracks
 from foreglow.types.vehicles import Vehicles
 
 __all__ = [

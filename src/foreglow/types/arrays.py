@@ -68,5 +68,30 @@ def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[
     raise ValueError(f"{field}: expected {dtype.name} of shape {wanted}, got {got}")
 
 
+def check_kind(field: str, value: object, kind: type) -> None:
+    """Checks that `value` is of the class `kind`.
+
+    Raises:
+        ValueError: If it is not; the message begins with `field`.
+    """
+    if not isinstance(value, kind):
+        raise ValueError(f"{field}: expected {kind.__name__}, got {type(value).__name__}")
+
+
+def checked_time_ns(field: str, time_ns: object) -> int:
+    """A time in nanoseconds as a plain number.
+
+    Raises:
+        ValueError: If it is no whole number of 64 bits; the message begins with `field`.
+
+    >>> checked_time_ns("Frame.timestamp_ns", 1.5)
+    Traceback (most recent call last):
+    ValueError: Frame.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got 1.5
+    """
+    if not isinstance(time_ns, int | np.integer) or not -(2**63) <= time_ns < 2**63:
+        raise ValueError(f"{field}: expected nanoseconds as a whole number of 64 bits, got {time_ns!r:.40}")
+    return int(time_ns)
+
+
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
     return all(axis is None or axis == length for length, axis in zip(shape, wanted, strict=True))

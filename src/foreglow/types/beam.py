@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Value, checked_array
+from foreglow.types.arrays import Value, checked_array, checked_time_ns
 
 _FLOAT64 = np.dtype(np.float64)
+
+MAX_BORDER_RAD = 2 * math.pi
+"""A full turn: every bearing, and every gap around one, ends before it."""
 
 
 class BeamMode(IntEnum):
@@ -34,14 +38,15 @@ class BeamCommand(Value):
         levels: Shape (2, L), float64 in [0, 1], left and right lamp, one for each LED above the low beam, numbered as
             in the lamp description.
         gaps_rad: Shape (G, 2), float64, right and left border of each dark gap: azimuths to the left in the vehicle's
-            frame; right < left, gaps from right to left, without overlap.
-        gap_ranges_m: Shape (G,), float64, from the vehicle's origin to the vehicle that each gap protects; NaN where
-            unknown.
+            frame, at most a full turn; right < left, gaps from right to left, without overlap.
+        gap_ranges_m: Shape (G,), float64, from the vehicle's origin to the vehicle that each gap protects, not
+            negative; NaN where unknown.
         faults: Names of the faults for which low beam replaces the wanted beam; empty without faults.
 
     Raises:
-        ValueError: If a shape or a dtype is wrong, a level is outside [0, 1] or NaN, gaps are not in order, or LOW has
-            light above the low beam.
+        ValueError: If a type, a shape or a dtype is wrong, the time is no whole number of 64 bits, there is no such
+            mode, a level is outside [0, 1] or NaN, gaps are not in order, a range is negative or infinite, a fault is
+            no name, or LOW has light above the low beam.
     """
 
     timestamp_ns: int
@@ -52,6 +57,11 @@ class BeamCommand(Value):
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        timestamp_ns = checked_time_ns("BeamCommand.timestamp_ns", self.timestamp_ns)
+        if not isinstance(self.mode, BeamMode):
+            raise ValueError(f"BeamCommand.mode: expected a BeamMode, got {self.mode!r:.40}")
+        if not isinstance(self.faults, tuple) or not all(isinstance(fault, str) for fault in self.faults):
+            raise ValueError(f"BeamCommand.faults: expected a tuple of names, got {self.faults!r:.80}")
         levels = checked_array("BeamCommand.levels", self.levels, _FLOAT64, (2, None))
         gaps = checked_array("BeamCommand.gaps_rad", self.gaps_rad, _FLOAT64, (None, 2))
         ranges_m = checked_array("BeamCommand.gap_ranges_m", self.gap_ranges_m, _FLOAT64, (len(gaps),))
@@ -59,11 +69,11 @@ class BeamCommand(Value):
             raise ValueError("BeamCommand.levels: expected at least one LED, got none")
         if not (np.minimum.reduce(levels, axis=None) >= 0.0 and np.maximum.reduce(levels, axis=None) <= 1.0):
             raise ValueError("BeamCommand.levels: expected values in [0, 1], got NaN or a value outside")
-        borders = gaps.ravel()
-        if not (borders[1:] > borders[:-1]).all() or not np.isfinite(gaps).all():
-            raise ValueError(f"BeamCommand.gaps_rad: expected borders in order and apart, got {gaps.tolist()}")
+        if len(gaps):
+            _check_gaps(gaps, ranges_m)
         if self.mode == BeamMode.LOW and (len(gaps) or levels.any()):
             raise ValueError("BeamCommand.levels: expected 0 everywhere, and no gaps, with low beam")
+        object.__setattr__(self, "timestamp_ns", timestamp_ns)
         for name, array in (("levels", levels), ("gaps_rad", gaps), ("gap_ranges_m", ranges_m)):
             object.__setattr__(self, name, array)
 
@@ -71,3 +81,13 @@ class BeamCommand(Value):
     def low(cls, timestamp_ns: int, num_leds: int, *faults: str) -> BeamCommand:
         """Low beam, with the faults that it is commanded for."""
         return cls(timestamp_ns, BeamMode.LOW, np.zeros((2, num_leds)), faults=faults)
+
+
+def _check_gaps(gaps_rad: NDArray[np.float64], ranges_m: NDArray[np.float64]) -> None:
+    borders = gaps_rad.ravel()
+    if not (borders[1:] > borders[:-1]).all() or not (borders[0] >= -MAX_BORDER_RAD and borders[-1] <= MAX_BORDER_RAD):
+        raise ValueError(
+            f"BeamCommand.gaps_rad: expected borders in order and apart, at most a full turn, got {gaps_rad.tolist()}"
+        )
+    if (ranges_m < 0).any() or np.isinf(ranges_m).any():
+        raise ValueError(f"BeamCommand.gap_ranges_m: expected numbers of at least 0, or NaN, got {ranges_m.tolist()}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Boxes, Value, checked_array
+from foreglow.geometry import number_of
+from foreglow.types.arrays import Boxes, Value, check_kind, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 
 _INT32, _FLOAT32, _FLOAT64 = np.dtype(np.int32), np.dtype(np.float32), np.dtype(np.float64)
@@ -52,7 +54,8 @@ class Detections(Value):
             at all; they sum to 1. NaN where the model does not tell. An empty array becomes NaNs.
 
     Raises:
-        ValueError: If an array's shape or dtype is wrong, a score is outside [0, 1] or NaN, or kinds do not sum to 1.
+        ValueError: If a field is of a wrong type, an array's shape or dtype is wrong, a score is outside [0, 1] or NaN,
+            the threshold is not finite, or kinds do not sum to 1.
     """
 
     proposals: Proposals
@@ -61,10 +64,14 @@ class Detections(Value):
     light_kinds: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, len(LIGHT_KINDS)), np.float32))
 
     def __post_init__(self) -> None:
+        check_kind("Detections.proposals", self.proposals, Proposals)
         count = len(self.proposals)
         scores = checked_array("Detections.scores", self.scores, _FLOAT32, (count,))
         if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
+        threshold = number_of("Detections.score_threshold", self.score_threshold)
+        if not math.isfinite(threshold):
+            raise ValueError(f"Detections.score_threshold: expected a finite number, got {threshold}")
         light_kinds = checked_kinds("Detections.light_kinds", self.light_kinds, count, np.float32)
         object.__setattr__(self, "scores", scores)
         object.__setattr__(self, "light_kinds", light_kinds)
@@ -115,7 +122,8 @@ class Ranges(Value):
             estimator does not know its own error.
 
     Raises:
-        ValueError: If a shape or a dtype is wrong, a range is not positive, or a range that is NaN has a finite sigma.
+        ValueError: If a type, a shape or a dtype is wrong, a range is not positive, or a range that is NaN has a finite
+            sigma.
     """
 
     detections: Detections
@@ -123,6 +131,7 @@ class Ranges(Value):
     sigmas_m: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        check_kind("Ranges.detections", self.detections, Detections)
         count = len(self.detections)
         for name in ("ranges_m", "sigmas_m"):
             object.__setattr__(self, name, checked_array(f"Ranges.{name}", getattr(self, name), _FLOAT64, (count,)))

@@ -11,8 +11,8 @@ from types import MappingProxyType, NoneType
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import Camera
-from foreglow.types.arrays import Image, Value, frozen_view
+from foreglow.geometry import Camera, floats_of, number_of
+from foreglow.types.arrays import Image, Value, checked_time_ns, frozen_view
 
 MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
 """No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2. None
@@ -38,7 +38,7 @@ class EgoMotion(Value):
         pitch_rad: Pitch of the body against the road, nose up, relative to its rest; NaN without a sensor.
 
     Raises:
-        ValueError: If speed or yaw rate is not finite, or the pitch is infinite.
+        ValueError: If one is no number, speed or yaw rate is not finite, or the pitch is infinite.
     """
 
     speed_mps: float
@@ -53,9 +53,9 @@ class EgoMotion(Value):
 
     def __post_init__(self) -> None:
         for name in ("speed_mps", "yaw_rate_radps"):
-            if not math.isfinite(getattr(self, name)):
+            if not math.isfinite(number_of(f"EgoMotion.{name}", getattr(self, name))):
                 raise ValueError(f"EgoMotion.{name}: expected a finite number, got {getattr(self, name)}")
-        if math.isinf(self.pitch_rad):
+        if math.isinf(number_of("EgoMotion.pitch_rad", self.pitch_rad)):
             raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {self.pitch_rad}")
 
 
@@ -84,7 +84,8 @@ class RoadAhead(Value):
     error_bound_m: float = math.inf
 
     def __post_init__(self) -> None:
-        points = np.array(self.points_m, np.float64)
+        points = floats_of("RoadAhead.points_m", self.points_m)
+        half_width_m = number_of("RoadAhead.half_width_m", self.half_width_m)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise ValueError(f"RoadAhead.points_m: expected shape (N, 3) with N >= 2, got {points.shape}")
         if not np.isfinite(points).all():
@@ -99,13 +100,15 @@ class RoadAhead(Value):
                 f"RoadAhead.points_m: expected neighbours that differ, points {int(np.flatnonzero(is_same)[0])} and "
                 "the next are the same"
             )
-        if not (math.isfinite(self.half_width_m) and self.half_width_m > 0):
+        if not (math.isfinite(half_width_m) and half_width_m > 0):
             raise ValueError(f"RoadAhead.half_width_m: expected a positive number, got {self.half_width_m}")
-        if self.half_width_m > MAX_HALF_WIDTH_M:
+        if half_width_m > MAX_HALF_WIDTH_M:
             raise ValueError(f"RoadAhead.half_width_m: expected at most {MAX_HALF_WIDTH_M:g}, got {self.half_width_m}")
-        if not self.error_bound_m >= 0:
+        if not number_of("RoadAhead.error_bound_m", self.error_bound_m) >= 0:
             raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {self.error_bound_m}")
-        slopes = np.array(self.cross_slopes, np.float64) if np.size(self.cross_slopes) else np.zeros(len(points))
+        slopes = floats_of("RoadAhead.cross_slopes", self.cross_slopes)
+        if not slopes.size:
+            slopes = np.zeros(len(points))
         if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
             raise ValueError(f"RoadAhead.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
         if np.abs(slopes).max() > MAX_ROAD_NUMBER:
@@ -190,12 +193,7 @@ class Frame(Value):
                 f"{origin}Frame.camera: expected a calibration for images of {self.image.shape[1]}x"
                 f"{self.image.shape[0]} px, got one for {self.camera.width_px}x{self.camera.height_px} px"
             )
-        if not isinstance(self.timestamp_ns, int | np.integer) or not -(2**63) <= self.timestamp_ns < 2**63:
-            raise ValueError(
-                f"{origin}Frame.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got "
-                f"{self.timestamp_ns!r:.40}"
-            )
-        object.__setattr__(self, "timestamp_ns", int(self.timestamp_ns))
+        object.__setattr__(self, "timestamp_ns", checked_time_ns(f"{origin}Frame.timestamp_ns", self.timestamp_ns))
         object.__setattr__(self, "image", frozen_view(self.image))
         if self.earlier is not None and self.earlier.timestamp_ns >= self.timestamp_ns:
             raise ValueError(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
 from types import MappingProxyType
 
 import numpy as np
@@ -13,18 +12,8 @@ from numpy.typing import NDArray
 
 from foreglow.types.arrays import Value, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
+from foreglow.types.states import TrackState, check_states
 from foreglow.types.vehicles import Vehicles
-
-
-class TrackState(IntEnum):
-    """Where a track is in its life."""
-
-    TENTATIVE = 0
-    """Not yet plausible: must not be acted on."""
-    CONFIRMED = 1
-    """Plausible, and detected in this frame."""
-    COASTING = 2
-    """Plausible, but not detected in this frame: predicted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +74,7 @@ class Tracks(Value):
             raise ValueError("Tracks.ranges_m: expected positive numbers or NaN, got zero, a negative or infinity")
         if not (self.sigmas_m >= 0).all():
             raise ValueError("Tracks.sigmas_m: expected numbers of at least 0, got NaN or a negative")
+        check_states("Tracks.states", self.states)
         for name, least, most in _LIMITS:
             values = getattr(self, name)
             if count and not (values.min() >= least and values.max() <= most):
@@ -135,7 +125,6 @@ MAX_AGE_S = 1e10
 
 _LIMITS = (
     ("boxes_xyxy_px", -MAX_PX, MAX_PX),
-    ("states", min(TrackState), max(TrackState)),
     ("confidences", 0.0, 1.0),
     ("num_hits", 1, math.inf),
     ("num_misses", 0, math.inf),

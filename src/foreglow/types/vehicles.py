@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.types.arrays import Value, checked_array
+from foreglow.types.states import check_states
 
 _DTYPES = {
     "ids": np.dtype(np.int64),
@@ -33,8 +34,8 @@ class Vehicles(Value):
             of its farthest light, which is the nearest to it on its road. Its range and bearing are the vehicle's.
 
     Raises:
-        ValueError: If a shape or a dtype is wrong, ids do not ascend, a confidence is outside [0, 1], or a track's
-            vehicle is none of them.
+        ValueError: If a shape or a dtype is wrong, ids do not ascend, a state is no `TrackState`, a confidence is
+            outside [0, 1], or a track's vehicle is none of them.
     """
 
     ids: NDArray[np.int64]
@@ -52,6 +53,7 @@ class Vehicles(Value):
         object.__setattr__(self, "of_tracks", of_tracks)
         if not (self.ids[1:] > self.ids[:-1]).all():
             raise ValueError(f"Vehicles.ids: expected ascending numbers, got {self.ids.tolist()}")
+        check_states("Vehicles.states", self.states)
         if not ((self.confidences >= 0.0) & (self.confidences <= 1.0)).all():
             raise ValueError(f"Vehicles.confidences: expected numbers from 0 to 1, got {self.confidences.tolist()}")
         if not set(self.of_tracks.tolist()) <= set(self.ids.tolist()):

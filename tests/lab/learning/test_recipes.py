@@ -73,6 +73,13 @@ def test_a_bad_recipe_names_file_and_field(tmp_path: Path, text: str, message: s
         read_recipe(path, RECIPES["foreglow"])
 
 
+def test_a_check_of_the_whole_recipe_has_no_other_name(tmp_path: Path) -> None:
+    path = tmp_path / "rf.toml"
+    path.write_text("[inputs]\ntogether = false\n")
+    with pytest.raises(ValueError, match=r"rf\.toml: inputs\.together: expected true with the network both"):
+        read_recipe(path, RECIPES["foreglow"])
+
+
 def test_an_unknown_recipe_lists_the_known() -> None:
     with pytest.raises(ValueError, match="recipe: expected one of paper, compact, related, foreglow, got 'best'"):
         recipe("best")

@@ -30,7 +30,7 @@ from foreglow.lab.learning.recipes import RECIPES, Recipe, changed
 from foreglow.lab.learning.samples import NO_GROUP, Samples, joined
 from foreglow.lab.learning.scores import Counting, light_logits
 from foreglow.lab.learning.training_progress import RunProgress
-from foreglow.lab.learning.training_run import finish, labelled_samples, sample_counts, write_results
+from foreglow.lab.learning.training_run import check_apart, finish, labelled_samples, sample_counts, write_results
 from foreglow.models import OLD_SAMPLES
 
 if TYPE_CHECKING:
@@ -65,6 +65,8 @@ MAX_REPEATS = 8
 
 MAX_SEEN = 600_000
 """Samples that all epochs together see: large data sets have fewer epochs. This many take some 150 s of a core."""
+
+_SPLITS: tuple[SplitName, ...] = ("train", "val")
 
 OLD_WEIGHT = 240.0
 """Of an old sample in the loss; a user's box without light has 1. Less forgets more, more learns less. On the two real
@@ -185,7 +187,7 @@ def fine_tune(
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If one is broken, or the folder holds another training.
+        ValueError: If one is broken or must not be learnt from, or the folder holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     from foreglow.lab.learning.checkpoints import check_begun
@@ -194,23 +196,25 @@ def fine_tune(
     started = time.perf_counter()
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")
+    val_splits = [split_folder(path, "val") for path in data if _has_val(path)]
+    mixed_in = {name: [split_folder(path, name) for path in mix] for name in _SPLITS}
+    check_apart([*roots, *mixed_in["train"]], [*val_splits, *mixed_in["val"]], data)
     given = recipe.model_dump(mode="json")
     del given["epochs"]  # those of the training follow from the number of samples
     check_begun(folder, given | {"start": start.digest})
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     learnt = [open_labelled(root) for root in roots]
-    held_out = [open_labelled(split_folder(path, "val")) for path in data if _has_val(path)]
+    held_out = [open_labelled(path) for path in val_splits]
     own = joined([labelled_samples(each, recipe, config, "train", cache, progress) for each in learnt])
     if not mix:
         shipped = read_old_samples(OLD_SAMPLES, recipe.inputs)
         old, judge = shipped.learn, shipped.judge
     else:
-        names: tuple[SplitName, ...] = ("train", "val")
-        sets = {name: [open_labelled(split_folder(path, name)) for path in mix] for name in names}
+        sets = {name: [open_labelled(path) for path in mixed_in[name]] for name in _SPLITS}
         drives = {
             name: [labelled_samples(each, recipe, config, name, cache, progress) for each in sets[name]]
-            for name in names
+            for name in _SPLITS
         }
         old = chosen(drives["train"], NUM_SAMPLES)
         judge = tuple(

@@ -21,6 +21,9 @@ class ArtifactNetwork(nn.Module):
     Source: Ewecker et al., arXiv 2107.11302, figure of the network; the published code for what it leaves open.
     """
 
+    SIZE_PX = 64
+    """Side of its crops."""
+
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(1, 32, 5)
@@ -59,6 +62,9 @@ class CompactNetwork(nn.Module):
     light, or (N, 5) of the kinds of light. Instead of global pooling, the last layer keeps the
     position in the crop, since the box is always in its middle.
     """
+
+    SIZE_PX = 32
+    """Side of its crops."""
 
     def __init__(self, num_channels: int, num_features: int, num_outputs: int = 1) -> None:
         super().__init__()
@@ -271,21 +277,24 @@ NETWORKS: dict[str, Callable[[InputSpec, int], nn.Module]] = {
 """Untrained networks by name, for given inputs and a given number of logits."""
 
 
-def recipe_network(recipe: Recipe) -> nn.Module:
+def recipe_network(recipe: Recipe, origin: str = "recipe") -> nn.Module:
     """The untrained network that the recipe names.
 
     Raises:
-        ValueError: If there is no such network, or it cannot read the recipe's inputs.
+        ValueError: If there is no such network, or it cannot read the recipe's inputs; the message begins with the
+            `origin` of the recipe.
     """
     if recipe.network not in NETWORKS:
-        raise ValueError(f"recipe: network: expected one of {', '.join(NETWORKS)}, got {recipe.network!r}")
+        raise ValueError(f"{origin}: network: expected one of {', '.join(NETWORKS)}, got {recipe.network!r}")
     spec, network = recipe.inputs, NETWORKS[recipe.network](recipe.inputs, recipe.num_outputs)
     try:
         with torch.inference_mode():
             crops = torch.zeros(2, spec.num_channels, spec.size_px, spec.size_px)
             logits = copy.deepcopy(network).eval()(crops, torch.zeros(2, spec.num_features))
     except RuntimeError as error:
-        raise ValueError(f"recipe: inputs: the network {recipe.network} cannot read {spec}: {error}") from error
+        side_px = ArtifactNetwork.SIZE_PX if recipe.network == "paper" else CompactNetwork.SIZE_PX
+        expected = f"expected crops of {side_px} px, and what else the network {recipe.network} reads"
+        raise ValueError(f"{origin}: inputs: {expected}, got {spec}") from error
     if logits.shape[1] != recipe.num_outputs:
-        raise ValueError(f"recipe: kinds: expected false, the network {recipe.network} does not tell kinds, got true")
+        raise ValueError(f"{origin}: kinds: expected false, the network {recipe.network} does not tell kinds, got true")
     return network

@@ -260,6 +260,9 @@ def read_recipe(path: Path, base: Recipe) -> Recipe:
         ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
     """
     fields = _mapped(read_toml(path), lambda value: None if value == _NONE else value)
+    known = list(dict.fromkeys(each.network for each in RECIPES.values()))
+    if fields.get("network", known[0]) not in known:  # before what else it would have to be
+        raise ValueError(f"{path}: network: expected one of {', '.join(known)}, got {fields['network']!r}")
     return changed(base, fields, str(path))
 
 

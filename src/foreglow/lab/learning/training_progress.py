@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from foreglow.display.progress import Bar
+
+UNDEFINED = "–"
+"""In place of a figure for which there is nothing to count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +76,13 @@ class TrainingBar(Bar):
 
     def epoch(self, epoch: Epoch, num_epochs: int) -> None:
         """See `TrainingProgress.epoch`."""
+        figures = {"P": epoch.precision, "R": epoch.recall, "F": epoch.f1}
+        told = " ".join(
+            f"{name} {UNDEFINED if math.isnan(value) else f'{value:.3f}'}" for name, value in figures.items()
+        )
         self._console.print(
             f"epoch {epoch.number}/{num_epochs}: loss {epoch.train_loss:.4f}, validation {epoch.val_loss:.4f}, "
-            f"P {epoch.precision:.3f} R {epoch.recall:.3f} F {epoch.f1:.3f} at a score > {epoch.threshold:g}, "
+            f"{told} at a score > {epoch.threshold:g}, "
             f"{epoch.seconds:.0f} s",
             highlight=False,
             soft_wrap=True,

@@ -69,8 +69,8 @@ def train_model(
 
     Raises:
         FileNotFoundError: If a split, one of its files or a teacher is missing.
-        ValueError: If one is broken or named twice, a teacher reads something else than the network, or the folder
-            holds another training.
+        ValueError: If one is broken or named twice, or must not be learnt from, a teacher reads something else than the
+            network, or the folder holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (fails early if it is missing)
@@ -90,9 +90,11 @@ def train_model(
         raise ValueError(f"{data[0]}: expected at least one data set with a split val, got single splits alone")
     learnt = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(learnt, "DATA")
+    judging = [split_folder(path, "val") for path in whole]
+    check_apart(learnt, judging, data)
     splits = {
         "train": [open_labelled(path) for path in learnt],
-        "val": [open_labelled(split_folder(path, "val")) for path in whole],
+        "val": [open_labelled(path) for path in judging],
     }
     check_begun(folder, recipe.model_dump(mode="json"))
     folder.mkdir(parents=True, exist_ok=True)
@@ -112,6 +114,27 @@ def train_model(
         "seconds": round(time.perf_counter() - started, 1),
     }
     return write_results(folder, recipe, config, summary)
+
+
+def check_apart(learnt: Sequence[Path], judging: Sequence[Path], data: Sequence[Path]) -> None:
+    """Checks that nothing is learnt from which judges or tests: all figures would be too good, and nobody would see it.
+
+    Args:
+        learnt: The splits to train on.
+        judging: The splits to validate on.
+        data: The data sets, or single splits, that the user gave.
+
+    Raises:
+        ValueError: If a split to train on judges, lies in a data set that is given as well, or is called test.
+    """
+    for path in learnt:
+        if any(path.resolve() == judge.resolve() for judge in judging):
+            raise ValueError(f"{path}: expected a split to train on, got one that judges what is learnt")
+        if path.resolve().name == "test":
+            raise ValueError(f"{path}: expected a split to train on, got a test split, which is never learnt from")
+        outer = next((each for each in data if path in data and each.resolve() in path.resolve().parents), None)
+        if outer is not None:
+            raise ValueError(f"{path}: expected a split outside the data sets that are given, got one of {outer}")
 
 
 def sample_counts(samples: Samples) -> dict[str, int]:

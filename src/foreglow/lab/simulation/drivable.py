@@ -7,6 +7,7 @@ from pathlib import Path
 from foreglow.lab.simulation.scenes.scene import Scene, read_scene
 from foreglow.lab.simulation.world.road import interpolated
 from foreglow.lab.simulation.writing.street_data import check_ego_on_map
+from foreglow.photometry import read_ies
 
 
 def read_drivable(path: Path) -> Scene:
@@ -14,11 +15,12 @@ def read_drivable(path: Path) -> Scene:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no scene, our own drive leaves the map, or another vehicle is never on its road; the
-            message names path and field.
+        ValueError: If it is no scene, our own drive leaves the map, another vehicle is never on its road, or the file
+            of a low beam is missing or broken; the message names path and field.
     """
     scene = read_scene(path)
     check_ego_on_map(scene, str(path))
+    _check_low_beams(scene, path)
     times_s = [scene.time_s(number) for number in range(scene.num_frames)]
     for index, vehicle in enumerate(scene.vehicles):
         road = scene.road.branches[vehicle.branch] if vehicle.lane == "branch" else scene.road
@@ -29,3 +31,14 @@ def read_drivable(path: Path) -> Scene:
                 f"some time of the drive, got {arc_lengths_m.min():g} to {arc_lengths_m.max():g} m"
             )
     return scene
+
+
+def _check_low_beams(scene: Scene, path: Path) -> None:
+    fields = {"ego": scene.ego.low_beam_file}
+    fields |= {f"vehicles.{index}": vehicle.low_beam_file for index, vehicle in enumerate(scene.vehicles)}
+    for field, file in fields.items():
+        if file is not None:
+            try:
+                read_ies(Path(file))
+            except (OSError, ValueError) as error:
+                raise ValueError(f"{path}: {field}.low_beam_file: {error}") from error

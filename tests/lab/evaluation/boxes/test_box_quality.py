@@ -22,6 +22,7 @@ from foreglow.lab.evaluation import (
     evaluate_split,
     read_predictions,
 )
+from tests.cli.commands import foreglow_command
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.shared_data import shared_file
 
@@ -249,13 +250,29 @@ def test_a_split_and_a_file(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text("[classifier]\nscore_threshold = 0.3\n")
     assert evaluate_split(split, path).fp == 1  # that of the run, as the command has it
     (tmp_path / "config.toml").unlink()
-    assert evaluate_split(split / "images" / "S00001", path).num_images == 2
+    assert evaluate_split(split / "images" / "S00003", path).num_images == 3
     for image in split.rglob("*.png"):
         image.unlink()
     assert _same(evaluate_split(split, path), quality)
     (split / "labels/keypoints/000005.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"000005\.json: no such file, expected the keypoints of image 5"):
         evaluate_split(split, path)
+
+
+def test_predictions_of_another_split_are_refused(tmp_path: Path) -> None:
+    """The command refused them, and Python gave figures."""
+    split, other = make_pvdn(tmp_path / "this"), make_pvdn(tmp_path / "other")
+    path = tmp_path / "frames.jsonl"
+    path.write_text('{"frame": 99, "proposals_xyxy_px": [[36, 29, 46, 33]], "scores": [0.9]}\n')
+    with pytest.raises(ValueError, match=r"frames\.jsonl: expected boxes in images of .*, such as 99"):
+        evaluate_split(split, path)
+    image = next(other.rglob("*.png"))
+    image.write_bytes(image.read_bytes() + b"longer")
+    done = foreglow_command("run", split, "--preset", "paper", "--out", tmp_path / "run")
+    assert done.exit_code == 0, done.output
+    assert evaluate_split(split, tmp_path / "run" / "frames.jsonl").num_images == 5
+    with pytest.raises(ValueError, match=r"expected the labels of what .* was made from, .*, got others"):
+        evaluate_split(other, tmp_path / "run" / "frames.jsonl")
 
 
 def test_the_splits_own_boxes(tmp_path: Path) -> None:

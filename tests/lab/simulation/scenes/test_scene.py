@@ -39,6 +39,12 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
         ('[[vehicles]]\nlane = "branch"\n', "side road below 0, got 0"),
         ("[road\n", "expected TOML"),
         ("[surroundings]\nrails = [{side = 'up', span_m = [1.0, 2.0]}]\n", "surroundings.rails.0.side"),
+        (
+            "[surroundings]\nrails = [{side = 'left', span_m = [2.0, 1.0]}]\n",
+            r"toml: surroundings\.rails\.0\.span_m: expected a span from",
+        ),
+        ("[[vehicles]]\nlane_number = 1\n", r"toml: vehicles\.0\.lane_number: expected a lane below 1, got 1"),
+        ("rate_hz = 10.0\npair_s = 0.3\n", r"toml: pair_s: expected below 2 / rate_hz"),
         ("duration_s = true\n", "duration_s"),
     ],
 )

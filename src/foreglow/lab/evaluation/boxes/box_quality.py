@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
+from foreglow.runs.recorded_run import check_labels
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +138,32 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
 
     Raises:
         FileNotFoundError: If the split, a label file or the predictions are missing.
-        ValueError: If one of them is broken.
+        ValueError: If one of them is broken, or the predictions are for other images.
     """
     found = read_predictions(predictions)
     least = run_threshold(predictions) if threshold is None else threshold
-    return evaluate_boxes(split_keypoints_px(open_labelled(split)), found, least)
+    keypoints_px = split_keypoints_px(open_labelled(split))
+    check_images(Path(predictions), found, Path(split), keypoints_px.keys())
+    return evaluate_boxes(keypoints_px, found, least)
+
+
+def check_images(path: Path, predictions: Predictions, split: Path, image_ids: Collection[int]) -> None:
+    """Checks that predictions are for a split, as far as they and the run that wrote them say so.
+
+    Args:
+        path: The file of the predictions.
+        predictions: What is in it.
+        split: The split.
+        image_ids: Its images.
+
+    Raises:
+        ValueError: If they are for none of its images, or by a run on something else, or the run's summary is broken.
+    """
+    images = predictions.boxes_xyxy_px.keys()
+    if images and images.isdisjoint(image_ids):
+        raise ValueError(f"{path}: expected boxes in images of {split}, got those of others, such as {min(images)}")
+    if path.name == "frames.jsonl":
+        check_labels(path.parent, split)
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:
