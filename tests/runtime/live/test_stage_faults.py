@@ -95,22 +95,27 @@ def test_stage_that_raises_always_until_the_pipeline_is_made_anew(drive: list[Fr
 
 
 def test_stage_that_hangs_comes_back(drive: list[Frame]) -> None:
-    released = threading.Event()
+    hangs, released = threading.Event(), threading.Event()
 
     def make() -> Pipeline:
         pipeline = Pipeline(configuration)
-        spoil(pipeline, "classifier", lambda now_ns: released.wait(20) if now_ns == drive[BEGIN].timestamp_ns else None)
+        spoil(pipeline, "classifier", lambda now_ns: hang() if now_ns == drive[BEGIN].timestamp_ns else None)
         return pipeline
 
+    def hang() -> None:
+        hangs.set()
+        released.wait(20)
+
     configuration = live_config(abandon_s=15.0)
-    watching = threading.Thread(target=release_when_low, args=(lamps := Watched(), released))
+    watching = threading.Thread(target=release_when_low, args=(lamps := Watched(), hangs, released))
     watching.start()
     summary, _ = run_live(ScriptedCamera(drive[:60], is_live=True), configuration, make, lamps=lamps)
     watching.join()
-    assert LiveFault.STAGE_HANGS in lamps.commands[lamps.first_low].faults
-    hung = next(event for event in summary.faults if event.fault == LiveFault.STAGE_HANGS)
-    assert hung.detail == "classifier"
-    assert hung.until_ns is not None
+    assert any(LiveFault.STAGE_HANGS in command.faults for command in lamps.commands)
+    # On a busy machine other stages are late, too.
+    hung = [event for event in summary.faults if (event.fault, event.detail) == (LiveFault.STAGE_HANGS, "classifier")]
+    assert len(hung) == 1
+    assert hung[0].until_ns is not None
     assert lamps.of_frames()[drive[BEGIN].timestamp_ns].mode == BeamMode.LOW  # what it brought late is not shone
     assert not lamps.is_low[-2]  # and light comes back
     assert summary.num_dropped > 0
@@ -212,7 +217,9 @@ class Watched(Lamps):
             self.went_low.set()
 
 
-def release_when_low(lamps: Watched, released: threading.Event) -> None:
+def release_when_low(lamps: Watched, hangs: threading.Event, released: threading.Event) -> None:
+    hangs.wait(20)
+    lamps.went_low.clear()
     lamps.went_low.wait(20)
     time.sleep(3 * PERIOD_S)
     released.set()

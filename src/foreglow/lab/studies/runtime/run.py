@@ -263,6 +263,6 @@ def _stages(stage_ms: Mapping[str, float]) -> dict[str, float]:
 
 
 def _times(name: str, rows: Sequence[Mapping[str, float]], counts: Sequence[int], num_dropped: int) -> NetworkTimes:
-    names = dict.fromkeys(part for row in rows for part in row)
+    names = dict.fromkeys((COMPLETE, *(part for row in rows for part in row)))
     parts_ms = {part: np.array([row.get(part, math.nan) for row in rows]) for part in names}
     return NetworkTimes(name, parts_ms, np.array(counts, np.int64), num_dropped)
