@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "folder_lock": set(),
     "outputs": {"files", "whole_files", "datasets"},
     "inputs": {"files", "outputs"},
-    "options": {"config", "beam", "datasets", "files", "inputs", "folder_lock", "outputs", "parallel"},
+    "options": {"config", "beam", "datasets", "files", "inputs", "folder_lock", "outputs", "parallel", "plugins"},
     "lab": set(),
     "lab.simulation": VALUES
     | BASES

@@ -10,6 +10,7 @@ import codecs
 import dataclasses
 import json
 import math
+import os
 import re
 import reprlib
 import stat
@@ -17,12 +18,15 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, AnyStr, Protocol, runtime_checkable
+from urllib.parse import quote, unquote_to_bytes
 
 import numpy as np
 from pydantic import BaseModel
 from pydantic_core import from_json, to_jsonable_python
 
 from foreglow.whole_files import write_atomic
+
+_FILE_URI = "file://"
 
 
 @runtime_checkable
@@ -73,6 +77,27 @@ def in_unicode(text: str) -> str:
     'night?.png'
     """
     return text.encode("utf-8", "replace").decode()
+
+
+def path_in_unicode(text: str) -> str:
+    r"""`text` for a file of text, from which `path_from_unicode` has it back, also if it is a path with other bytes.
+
+    Such a path becomes a URI.
+
+    >>> path_in_unicode("/drives/night"), path_in_unicode("/drives/night\udcff")
+    ('/drives/night', 'file:///drives/night%FF')
+    """
+    return text if in_unicode(text) == text else f"{_FILE_URI}{quote(os.fsencode(text))}"
+
+
+def path_from_unicode(text: str) -> str:
+    r"""What `path_in_unicode` had; a URI that a path in UTF-8 could be written for is one that a user gave.
+
+    >>> path_from_unicode(path_in_unicode("night\udcff")) == "night\udcff"
+    True
+    """
+    path = os.fsdecode(unquote_to_bytes(text.removeprefix(_FILE_URI)))
+    return path if text.startswith(_FILE_URI) and in_unicode(path) != path else text
 
 
 def fields_to_json(value: Any, *properties: str) -> dict[str, Any]:

@@ -55,13 +55,13 @@ def _named_in(label: str, path: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _source_of_run(label: str, run: Path) -> Iterator[tuple[str, Path]]:
-    from foreglow.files import read_plain_json
+    from foreglow.files import path_from_unicode, read_plain_json
 
     summary = run / "summary.json"
     with contextlib.suppress(OSError, ValueError):
         record = read_plain_json(summary) if summary.is_file() else None
         if isinstance(record, dict) and isinstance(record.get("source"), str):
-            yield f"the source of {label}", Path(record["source"].removeprefix("simulate:"))
+            yield f"the source of {label}", Path(path_from_unicode(record["source"]).removeprefix("simulate:"))
 
 
 def _files_in_toml(label: str, path: Path) -> Iterator[tuple[str, Path]]:

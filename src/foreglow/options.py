@@ -14,6 +14,7 @@ hello there
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import inspect
@@ -33,6 +34,7 @@ from typer.models import OptionInfo
 from foreglow.folder_lock import locked
 from foreglow.inputs import named_by
 from foreglow.outputs import check_kinds, check_outputs, exists, running
+from foreglow.plugins import raising
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
@@ -87,7 +89,7 @@ def file(text: str, *names: str, metavar: str = "FILE") -> Any:
 def output_file(text: str, suffixes: tuple[str, ...], *names: str, metavar: str = "FILE", **settings: Any) -> Any:
     """An option with a file to write, and its help: the command may not read the same file.
 
-    A file that is there already is overwritten only if its name ends with one of `suffixes`.
+    Its name has to end with one of `suffixes`.
     """
     made = _with_role(option(metavar, text, *names, readable=False, **settings), "output file")
     made.suffixes = suffixes
@@ -162,7 +164,11 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
             check_kinds(files, suffixes)
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
-            with locked(folders):
+            with contextlib.ExitStack() as around:
+                around.enter_context(locked(folders))
+                for group in values.values():
+                    if isinstance(group, PipelineOptions):
+                        around.enter_context(group.naming())
                 function(**values)
 
     keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
@@ -273,6 +279,25 @@ class PipelineOptions:
             classifier = configuration.classifier.model_copy(update={"model": self.model})
             configuration = configuration.model_copy(update={"classifier": classifier})
         return configuration
+
+    @contextlib.contextmanager
+    def naming(self) -> Iterator[None]:
+        """Adds the name of the file to what is found wrong with a field of it later, such as at the first frame."""
+        try:
+            yield
+        except ValueError as error:
+            if self.config is None or raising(error) is not None or not _sets(self.config, str(error)):
+                raise
+            raise ValueError(f"{self.config}: {error}") from error
+
+
+def _sets(config: Path, message: str) -> bool:
+    """Whether `message` begins with a field that the configuration in the file `config` sets."""
+    from foreglow.files import read_toml
+
+    section, _, rest = message.partition(".")
+    fields = read_toml(config).get(section)
+    return isinstance(fields, dict) and rest.partition(":")[0] in fields
 
 
 @dataclass(frozen=True, slots=True)

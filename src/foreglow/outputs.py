@@ -191,21 +191,20 @@ def _check_place(name: str, path: Path) -> None:
 
 
 def check_kinds(files: Mapping[str, Path], suffixes: Mapping[str, Sequence[str]]) -> None:
-    """Checks that what is to be overwritten is a file of the kind that is written, by the end of its name.
+    """Checks that each file is of the kind that is written, by the end of its name.
 
-    So a video or an image that no command names is safe, too.
+    So a video or an image that no command names is not overwritten, and `-` is no name of a file.
 
     Args:
         files: By option, files to write.
         suffixes: By option, how the names of such files end.
 
     Raises:
-        ValueError: If a file is there whose name ends otherwise.
+        ValueError: If a name ends otherwise.
     """
     for name, path in files.items():
-        if path.is_file() and path.suffix.lower() not in suffixes[name]:
-            ends = " or ".join(suffixes[name])
-            raise ValueError(f"{name} {path}: expected a new file, or an earlier one whose name ends with {ends}")
+        if path.suffix.lower() not in suffixes[name]:
+            raise ValueError(f"{name} {path}: expected a file whose name ends with {' or '.join(suffixes[name])}")
 
 
 def check_unnamed_outputs(files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:

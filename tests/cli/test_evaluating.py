@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import dataclasses
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 
 from foreglow.datasets.simulated import BoxShares, shares_path
 from foreglow.datasets.simulated.shares import write_shares
+from foreglow.lab.reports.page import Page
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.types import Frame
@@ -80,6 +82,22 @@ def test_points_outside_the_image_are_told(split: Path, predictions: Path) -> No
     keypoints = split / "labels" / "keypoints" / "000004.json"
     keypoints.write_text(keypoints.read_text().replace("[10, 10]", "[160, 10]"))
     assert "outside the image, so that no box finds them: 1 key point;" in foreglow_command(*words).stdout
+
+
+def test_a_split_whose_name_is_no_utf_8(split: Path, predictions: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    moved = split.parents[1].rename(tmp_path / os.fsdecode(b"PVDN\xff")) / "day" / "val"
+    out = tmp_path / "out"
+    result = foreglow_command("evaluate", moved, "--predictions", predictions, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "PVDN?" in json.loads((out / "results.json").read_text())["made_with"]["split"]
+
+
+@pytest.mark.parametrize("name", ["report.md", "report.html"])
+def test_a_page_is_utf_8_whatever_is_called_so(name: str, tmp_path: Path) -> None:
+    page = Page("night\udcff")
+    page.text("of night\udcff")
+    assert page.write(tmp_path / name).read_text().count("night?") == (2 if name == "report.md" else 3)
 
 
 @pytest.fixture(name="model")

@@ -55,7 +55,7 @@ def test_bad_input_of_yolo(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path
     out = tmp_path / "run"
     assert "yolo train: backend: " in complaint("yolo", "train", data, "--out", out, "--backend", "darknet")
     assert "yolo train: image_size_px: " in complaint("yolo", "train", data, "--out", out, "--image-size", 100)
-    assert "expected a finished run" in complaint("yolo", "predict", out, data / "test", "--out", tmp_path / "x")
+    assert "expected a finished run" in complaint("yolo", "predict", out, data / "test", "--out", tmp_path / "x.json")
     for name, extra in (("libreyolo", "yolo"), ("ultralytics", "ultralytics")):
         monkeypatch.setitem(sys.modules, name, None)
         line = complaint("yolo", "train", data, "--out", out, "--backend", name)

@@ -24,6 +24,7 @@ from foreglow.runtime.live import Paced
 from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.forked import Loaded
+from tests.datasets.bags.bags import images, make_mcap
 
 pytestmark = pytest.mark.slow
 
@@ -142,6 +143,10 @@ def test_killed_process_leaves_no_half_written_result(tmp_path: Path, program: L
 def test_bad_input(tmp_path: Path) -> None:
     assert "no such file or folder" in complaint("live", tmp_path / "absent")
     assert "scenario: expected one of" in complaint("live", "simulate:nowhere")
+    other = tmp_path / "scene.json"
+    other.touch()
+    for path in (other, tmp_path / "absent"):
+        assert f"{path}: expected a scene, a file whose name ends with .toml" in complaint("live", f"simulate:{path}")
     assert "expected an interface of python-can" in complaint("live", shipped_drive(), "--can", "nonsense:1")
     assert "--speed" in complaint("live", shipped_drive(), "--speed", -1)
     assert "expected a model" in complaint("live", shipped_drive(), "--preset", "paper")
@@ -185,6 +190,37 @@ def test_numbers_without_effect_are_errors() -> None:
         assert f"{option}: expected with" in complaint("live", shipped_drive(), option, value)
 
 
+def test_a_region_outside_the_frames_ends_it(tmp_path: Path) -> None:
+    """No later frame is another chance, as after an error in a stage."""
+    config, out = tmp_path / "region.toml", tmp_path / "out"
+    config.write_text("[proposals]\nregion_xyxy_px = [5000, 0, 5100, 100]\n")
+    result = foreglow_command("live", shipped_drive(), "--config", config, "--out", out)
+    assert result.exit_code == 2, result.output
+    line = result.stderr.splitlines()[-1]
+    assert line.startswith(f"foreglow: {config}: proposals.region_xyxy_px: expected a part of the frame, ")
+    assert not (out / "summary.json").exists()
+
+
+@pytest.mark.parametrize("damage", ["cut", "hole"])
+def test_what_a_recording_lacks_ends_it(damage: str, tmp_path: Path) -> None:
+    """All that is there is played; what is lost may have been any number of frames."""
+    path, out = make_mcap(tmp_path / "drive.mcap", images(5)), tmp_path / "out"
+    data = bytearray(path.read_bytes())
+    starts = [position for position in range(len(data)) if data.startswith(b"zstd", position)]
+    if damage == "cut":
+        data = data[: starts[4] + 100]
+    else:
+        data[starts[2] + 100 : starts[2] + 120] = bytes(20)
+    path.write_bytes(data)
+    result = foreglow_command("live", path, "--speed", 0, "--out", out)
+    assert result.exit_code == 2, result.output
+    line = result.stderr.splitlines()[-1]
+    assert line.startswith(f"foreglow: expected a whole recording, frames may be lost: {path}: ")
+    assert "1 left out as unreadable, the first: " in result.stdout
+    assert num_lines(out) == 4
+    assert not read_summary(out / "summary.json").is_complete
+
+
 def test_unreadable_images_are_left_out(tmp_path: Path) -> None:
     images, out = tmp_path / "images", tmp_path / "out"
     images.mkdir()
@@ -192,8 +228,8 @@ def test_unreadable_images_are_left_out(tmp_path: Path) -> None:
         (images / f"{name}.png").write_bytes(content)
     result = foreglow_command("live", images, "--speed", 0, "--out", out)
     assert result.exit_code == 0, result.output
-    assert "2 unreadable frames left out, the first: " in result.stdout
-    assert result.stdout.count("unreadable frame") == 1
+    assert "2 left out as unreadable, the first: " in result.stdout
+    assert result.stdout.count("as unreadable") == 1
     assert num_lines(out) == 2
     assert json.loads((out / "summary.json").read_text())["num_skipped"] == 2
     for path in images.iterdir():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -13,6 +14,8 @@ import pytest
 import foreglow
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
+from foreglow.inputs import named_by
+from foreglow.runs.recorded_run import source_of_run
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.test_video import make_video
@@ -83,10 +86,32 @@ def test_bad_image_among_many(tmp_path: Path, folder: Path, config: Path) -> Non
     assert not out.exists()
     result = foreglow_command("run", folder, "--out", out, "--config", config, "--on-error", "skip", "--video")
     assert result.exit_code == 0, result.output
-    assert "1 unreadable frame skipped" in result.stdout
+    assert "1 skipped as unreadable" in result.stdout
     summary = json.loads((out / "summary.json").read_text())
     assert (summary["num_frames"], summary["num_skipped"]) == (2, 1)
     assert "000001.png" in summary["skipped"][0]
+
+
+def test_a_source_whose_name_is_no_utf_8_is_found_again(tmp_path: Path, folder: Path, config: Path) -> None:
+    moved, out = folder.rename(tmp_path / os.fsdecode(b"night\xff")), tmp_path / "out"
+    assert foreglow_command("run", moved, "--out", out, "--config", config).exit_code == 0
+    assert json.loads((out / "summary.json").read_text())["source"] == f"file://{tmp_path}/night%FF"
+    assert source_of_run(out) == moved
+    assert [path for name, path in named_by({"RUN": out}).items() if "source" in name] == [moved]
+    assert foreglow_command("run", moved, "--config", config).exit_code == 0
+    assert foreglow_command("run", moved, "--config", config).exit_code == 0, "into the same folder beside it"
+
+
+def test_a_field_that_turns_out_to_be_wrong_is_told_with_its_file(tmp_path: Path, folder: Path) -> None:
+    config = tmp_path / "own.toml"
+    config.write_text("[proposals]\nregion_xyxy_px = [5000, 0, 5100, 100]\n")
+    for command in ("run", "record"):
+        line = complaint(command, folder, "--out", tmp_path / "out.mcap", "--config", config)
+        assert line.startswith(f"foreglow: {config}: proposals.region_xyxy_px: expected a part of the frame, ")
+    config.write_text('[beam]\npolicy = "no:Such"\n')
+    for command in ("run", "live"):
+        line = complaint(command, folder, "--out", tmp_path / "out", "--config", config)
+        assert line.startswith(f"foreglow: {config}: beam.policy: no:Such cannot be imported")
 
 
 def test_nothing_but_bad_images(tmp_path: Path, folder: Path, config: Path) -> None:

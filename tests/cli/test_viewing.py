@@ -59,7 +59,7 @@ def test_without_a_display(tmp_path: Path, folder: Path, config: Path, monkeypat
 
 def test_a_recording_that_cannot_be_written(tmp_path: Path, folder: Path, config: Path) -> None:
     path = tmp_path / "run.mcap"
-    assert f"{path}: expected a recording that ends in .rrd" in complaint(
+    assert f"{path}: expected a file whose name ends with .rrd" in complaint(
         "run", folder, "--out", tmp_path / "out", "--config", config, "--save", path
     )
     path = tmp_path / "nowhere" / "run.rrd"

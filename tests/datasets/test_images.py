@@ -50,6 +50,27 @@ def test_sixteen_bits_stay(tmp_path: Path, suffix: str) -> None:
     assert np.array_equal(image, GREY_16)
 
 
+@pytest.mark.parametrize("white", [1, 100, 255, 1023, 4095, 65535])
+@pytest.mark.parametrize("kind", ["P2", "P3", "P5", "P6"])
+def test_white_is_what_the_header_of_a_pnm_says(tmp_path: Path, kind: str, white: int) -> None:
+    values = np.random.default_rng(4).integers(0, white + 1, (70, 90))
+    values[0, :2] = 0, white
+    samples = np.repeat(values, 3) if kind in ("P3", "P6") else values.ravel()
+    plain = (" ".join(map(str, samples)) + "\n").encode()
+    body = plain if kind in ("P2", "P3") else samples.astype("u1" if white < 256 else ">u2").tobytes()
+    image = read_image(_file(tmp_path, "a.pnm", f"{kind}\n# night\n90 70\n{white}\n".encode() + body))
+    full_scale = 255 if white < 256 else 65535
+    assert image.dtype == np.dtype(f"u{1 if white < 256 else 2}")
+    assert np.array_equal(image, np.rint(values * (full_scale / white)))
+
+
+@pytest.mark.parametrize("white", [b"0", b"65536", b"x"])
+def test_a_pnm_without_a_white_is_refused(tmp_path: Path, white: bytes) -> None:
+    path = _file(tmp_path, "a.pgm", b"P5\n90 70\n" + white + b"\n" + GREY.tobytes())
+    with pytest.raises(ValueError, match=r"a\.pgm: damaged PGM or PPM, expected a maxval of 1 to 65535, got"):
+        read_image(path)
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".bmp", ".ppm"])
 def test_colour_becomes_grey_with_the_weights_of_opencv(tmp_path: Path, suffix: str) -> None:
     image = read_image(_file(tmp_path, f"a{suffix}", encoded(suffix, COLOUR)))

@@ -66,8 +66,6 @@ def auto(
     """
     if picture is None:
         picture = out.with_suffix(".png")
-        if picture == out:
-            raise ValueError(f"--out {out}: expected another name than that of its picture, such as {out.stem}.toml")
         check_unnamed_outputs({"--picture": picture}, {})
         if picture.exists() and not out.exists():
             raise ValueError(f"{picture}: expected no picture there, as there is no {out} yet; name one with --picture")

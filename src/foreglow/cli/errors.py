@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import logging
 import math
 import os
@@ -95,7 +96,12 @@ class Commands(TyperGroup):
     """The commands, with their errors turned into one line on stderr."""
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Runs the command line; a reader that has seen enough of the help, such as `head`, is no failure of it."""
+        """Runs the command line; a reader that has seen enough of the help, such as `head`, is no failure of it.
+
+        Where names that are not UTF-8 cannot be printed as they are, there is a `?` in them.
+        """
+        if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+            sys.stdout.reconfigure(errors="replace")
         try:
             return self._main(*args, **extra)
         except SystemExit as ending:

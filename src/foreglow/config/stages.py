@@ -105,6 +105,21 @@ class ProposalConfig(FrozenModel):
             )
         return self
 
+    def check_region(self, height_px: int, width_px: int) -> None:
+        """Checks that `region_xyxy_px` is a part of a frame of this size.
+
+        Raises:
+            ValueError: If it lies outside: an empty region must be a mistake.
+        """
+        if self.region_xyxy_px is None:
+            return
+        x1, y1, _, _ = self.region_xyxy_px
+        if x1 >= width_px or y1 >= height_px:
+            raise ValueError(
+                f"proposals.region_xyxy_px: expected a part of the frame, "
+                f"{list(self.region_xyxy_px)} lies outside its {width_px}x{height_px} px"
+            )
+
 
 class StandingConfig(FrozenModel):
     """What stands still in the image while we drive, such as reflections of our own car, and is left out.

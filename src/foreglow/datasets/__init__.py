@@ -36,7 +36,7 @@ from foreglow.datasets.pvdn.schema import (
     Weather,
 )
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.vehicle_data import Equipped, VehicleData, origin_of, part_names, part_of
+from foreglow.datasets.vehicle_data import Equipped, VehicleData, lost_parts, origin_of, part_names, part_of
 from foreglow.datasets.video import Video
 
 __all__ = [
@@ -65,6 +65,7 @@ __all__ = [
     "Video",
     "Weather",
     "download_pvdn",
+    "lost_parts",
     "open_labelled",
     "open_source",
     "origin_of",

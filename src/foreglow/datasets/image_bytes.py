@@ -21,7 +21,10 @@ _PNG_HEADER = struct.Struct(">IIBBBBB")
 _PNG_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 """Bits of a sample by colour type. PNG specification, table 11.1."""
 
-_PNM = re.compile(rb"P[1-6]\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s(?:\s|#[^\n]{0,1000}\n){0,100}(\d{1,9})\s")
+_PNM_SPACE = rb"\s(?:\s|#[^\n]{0,1000}\n){0,100}"
+_PNM = re.compile(rb"P[1-6]" + 2 * (_PNM_SPACE + rb"(\d{1,9})") + rb"\s")
+_PNM_WHITE = re.compile(rb"P[2356]" + 2 * (_PNM_SPACE + rb"\d{1,9}") + _PNM_SPACE + rb"(\d{1,9})\s")
+_PNM_MAX_WHITE = 65535
 _TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}
 _TIFF_SIZES = {256: "width", 257: "height", 322: "width of a tile", 323: "height of a tile"}
 _TIFF_KIND, _TIFF_REDUCED = 254, 1  # NewSubfileType, and its bit of an image that is a smaller copy of another
@@ -130,6 +133,29 @@ def size_px(data: bytes) -> tuple[int, int] | None:
     if found := _PNM.match(data):
         return int(found[2]), int(found[1])
     return None
+
+
+def at_full_scale(data: bytes) -> tuple[bytes, int | None]:
+    """A PGM or PPM with 255 or 65535 as its maxval, and the maxval that it had: the value of white; None for others.
+
+    OpenCV scales some values by the maxval and others not; with these it keeps all as they are.
+
+    Raises:
+        ValueError: If there is no such value; the message says only what is wrong.
+
+    Source: the pages pgm(5) and ppm(5) of Netpbm.
+    """
+    if not data.startswith((b"P2", b"P3", b"P5", b"P6")):
+        return data, None
+    found = _PNM_WHITE.match(data)
+    if found is None or not 1 <= int(found[1]) <= _PNM_MAX_WHITE:
+        got = "none" if found is None else int(found[1])
+        raise ValueError(f"damaged PGM or PPM, expected a maxval of 1 to {_PNM_MAX_WHITE}, got {got}")
+    white = int(found[1])
+    full_scale = 255 if white <= 255 else _PNM_MAX_WHITE
+    if white == full_scale:
+        return data, white
+    return b"%s%d%s" % (data[: found.start(1)], full_scale, data[found.end(1) :]), white
 
 
 def _tiff_size_px(data: bytes) -> tuple[int, int]:

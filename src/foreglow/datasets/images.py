@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_END, PNG_SIGNATURE, size_px
+from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_END, PNG_SIGNATURE, at_full_scale, size_px
 from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
@@ -53,7 +53,8 @@ by less than half of what it changes Cr; red light has four fifths of its Cr."""
 def read_image(path: Path | str) -> Image:
     """The grey image in the file at `path`, shape (height, width), uint8 or uint16.
 
-    The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are. Colour becomes grey as
+    The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are, but those of a PGM or PPM
+    are scaled to 8 or 16 bits, as its header says what white is. Colour becomes grey as
     in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` has an array as `to_grey` takes it,
     colour in the order R, G, B. JPEG has no checksum: damage inside its data that leaves its structure intact may go
     unnoticed.
@@ -237,6 +238,7 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
         size = size_px(data)
         if size is not None:
             check_size(*size, "header")
+        data, white = at_full_scale(data)
     except ValueError as error:
         raise ValueError(f"{origin}: {error}") from None
     if data[4:8] == b"ftyp" and data[8:12] in BRANDS_OF_PHONES:
@@ -251,7 +253,16 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
     if array is None:
         raise ValueError(none)
     check_size(array.shape[0], array.shape[1], origin)
-    return np.asarray(array)
+    return np.asarray(array) if white is None else _to_full_scale(np.asarray(array), white)
+
+
+def _to_full_scale(array: NDArray[Any], white: int) -> NDArray[Any]:
+    """`array` of uint8 or uint16 with the greatest value of its type where it has `white` or more."""
+    full_scale = np.iinfo(array.dtype).max
+    if white == full_scale:
+        return array
+    scaled = np.minimum(array, white).astype(np.float64) * (full_scale / white)
+    return np.asarray(np.rint(scaled).astype(array.dtype))
 
 
 @contextlib.contextmanager

@@ -156,6 +156,13 @@ def origin_of(source: FrameSource) -> Path | None:
     return source.origin if isinstance(source, FileSource) else None
 
 
+def lost_parts(source: FrameSource) -> Sequence[str]:
+    """`FileSource.lost` of what `source` reads; empty for sources that are no `FileSource`."""
+    if isinstance(source, Equipped):
+        return lost_parts(source.source)
+    return source.lost if isinstance(source, FileSource) else ()
+
+
 def part_names(source: FrameSource) -> tuple[str, ...]:
     """Names of the sequences in the order of their frames; a single empty name for a source without sequences."""
     if isinstance(source, Equipped):

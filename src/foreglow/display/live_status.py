@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.status import Status
 
-from foreglow.display.summary_lines import beam_lines, counted
+from foreglow.display.summary_lines import beam_lines
 from foreglow.plugins import printable
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import FaultEvent, LiveSummary
@@ -79,7 +79,7 @@ def live_lines(summary: LiveSummary) -> list[str]:
         lines += beam_lines(run.beam, run.num_frames)
     lines += [_event_line(event) for event in summary.faults]
     if run.num_skipped:
-        lines.append(f"{counted(run.num_skipped, 'unreadable frame')} left out, the first: {run.skipped[0]}")
+        lines.append(f"{run.num_skipped} left out as unreadable, the first: {run.skipped[0]}")
     if summary.num_unrecorded:
         why = "" if summary.sink_errors else ": the recording could not keep up"
         lines.append(f"{summary.num_unrecorded} results were not recorded{why}")

@@ -34,7 +34,7 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
         lines += beam_lines(summary.beam, summary.num_frames)
     if summary.num_skipped:
         listed = "listed in summary.json" if out.is_dir() else f"the first: {summary.skipped[0]}"
-        lines.append(f"{counted(summary.num_skipped, 'unreadable frame')} skipped, {listed}")
+        lines.append(f"{summary.num_skipped} skipped as unreadable, {listed}")
     if is_interrupted:
         lines.append("interrupted: the results are complete up to there")
     if not out.is_dir():

@@ -166,15 +166,11 @@ def cut_region(image: Image, config: ProposalConfig) -> tuple[int, int, Image]:
     """Left and top of the considered region in pixels, and the view of `image` inside it.
 
     Raises:
-        ValueError: If the region lies outside the image; an empty region must be a mistake.
+        ValueError: If the region lies outside the image.
     """
     height_px, width_px = image.shape
+    config.check_region(height_px, width_px)
     x1, y1, x2, y2 = config.region_xyxy_px or (0, 0, width_px, height_px)
-    if x1 >= width_px or y1 >= height_px:
-        raise ValueError(
-            f"proposals.region_xyxy_px: expected a part of the frame, "
-            f"{[x1, y1, x2, y2]} lies outside its {width_px}x{height_px} px"
-        )
     return x1, y1, image[y1 : min(y2, height_px), x1 : min(x2, width_px)]
 
 

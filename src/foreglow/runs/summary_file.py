@@ -6,6 +6,7 @@ a default, or the folders of earlier versions can no longer be read.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, ClassVar, TypeAlias
 from pydantic import ConfigDict, RootModel
 
 from foreglow.datasets.json_files import read_json
-from foreglow.files import fields_to_json
+from foreglow.files import fields_to_json, path_from_unicode, path_in_unicode
 
 RunTime: TypeAlias = dict[str, float | None]
 """`median`, `p95` and `p99` of one stage in milliseconds; None where no frame was run."""
@@ -101,6 +102,10 @@ class RunSummary(_Strict):
     processor: str
     dispatch: str | None
     command: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """The fields; a `source` that is not UTF-8 is written as a URI."""
+        return fields_to_json(self) | {"source": path_in_unicode(self.source)}
 
 
 @dataclass(slots=True)
@@ -205,4 +210,5 @@ def read_summary(path: Path) -> SummaryFile:
         FileNotFoundError: If there is no such file.
         ValueError: If it is broken; the message names the field.
     """
-    return read_json(path, RootModel[SummaryFile]).root
+    summary = read_json(path, RootModel[SummaryFile]).root
+    return dataclasses.replace(summary, source=path_from_unicode(summary.source))

@@ -186,6 +186,20 @@ def test_frames_that_nobody_has_labelled_are_not_empty(tmp_path: Path) -> None:
         read_labels_file(path)
 
 
+def test_frames_deleted_at_the_end_of_a_track_are_not_empty(tmp_path: Path) -> None:
+    """A track that is nowhere outside goes on to the end of the task."""
+    path = tmp_path / "labels.xml"
+    shapes = "".join(f'<points frame="{at}" outside="0" points="5,5"/>' for at in (3, 4, 6, 7))
+    track = f'<track id="6" label="light">{shapes}{{}}</track>'
+    path.write_text(f"<annotations><meta><task><size>10</size></task></meta>{track.format('')}</annotations>")
+    found = read_labels_file(path)
+    assert [image.name for image in found.images] == ["0", "1", "2", "3", "4", "6", "7"]
+    assert dict(found.lost) == {"frame in which a track goes on, but has no shape": 3}
+    outside = '<points frame="8" outside="1" points="5,5"/>'
+    path.write_text(f"<annotations><meta><task><size>10</size></task></meta>{track.format(outside)}</annotations>")
+    assert [image.name for image in read_labels_file(path).images] == ["0", "1", "2", "3", "4", "6", "7", "8", "9"]
+
+
 def test_points_beyond_the_first_of_an_annotation_are_counted(split: Path, tmp_path: Path) -> None:
     path = tmp_path / "labels.json"
     write_labels_file(path, labels_of(open_labelled(split)), "coco")

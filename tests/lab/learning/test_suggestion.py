@@ -118,6 +118,7 @@ def test_the_file_is_read_back(tmp_path: Path) -> None:
     for content, said in (
         ("", "line 1: expected a column called frame"),
         ("name\n3\n", "line 1: expected a column called frame"),
+        ("frame,sequence\n", "line 2: expected at least one frame, got none"),
         ("frame\nseven\n", "line 2: frame: expected a number, got 'seven'"),
         ("x,frame\n1\n", "line 2: frame: expected a number"),
         ("frame\n-1\n", "line 2: frame: expected a number"),

@@ -42,7 +42,7 @@ def test_the_command_draws_nine_panels(tmp_path: Path) -> None:
 
 def test_what_cannot_be_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    assert "ends in .png" in complaint("stages", shipped_drive(), "--out", tmp_path / "stages.jpg")
+    assert "ends with .png" in complaint("stages", shipped_drive(), "--out", tmp_path / "stages.jpg")
     image = tmp_path / "night.png"
     image.write_bytes(PNG)
     told = complaint("stages", image, "--frame", 1, "--out", tmp_path / "stages.png")

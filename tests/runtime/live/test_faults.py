@@ -53,6 +53,13 @@ def test_frames_out_of_order(drive: list[Frame]) -> None:
     assert summary.fault_counts[LiveFault.OUT_OF_ORDER] == 1
 
 
+def test_a_camera_that_the_configuration_does_not_fit_ends_it(drive: list[Frame]) -> None:
+    """It is not opened again, as one that is lost."""
+    configuration = live_config().changed("proposals", region_xyxy_px=(9000, 0, 9100, 100))
+    with pytest.raises(ValueError, match=r"proposals\.region_xyxy_px: expected a part of the frame, \[9000"):
+        run_live(ScriptedCamera(drive[:3], is_live=True, is_endless=True), configuration)
+
+
 def test_a_source_without_frames_is_given_up() -> None:
     source = ScriptedCamera(*[[OSError("no camera")] for _ in range(99)], is_live=True, is_endless=True)
     configuration, lamps, keeper = live_config(retry_s=0.1), Lamps(), Keeper()

@@ -189,7 +189,7 @@ class Recording(FileSource):
         self.topic, self._decode = found.name, DECODERS[found.type, found.encoding]
         self.num_frames = self._container.count(self.topic)
         self.rate_hz = self._rate_hz()
-        self.skipped = []
+        self.skipped, self.lost = [], []
 
     @property
     def name(self) -> str:
@@ -197,12 +197,18 @@ class Recording(FileSource):
         return self.path.name
 
     def __iter__(self) -> Iterator[Frame]:
-        self.skipped = [self._container.truncation] if self._container.truncation else []
+        self.lost = [self._container.truncation] if self._container.truncation else []
+        self.skipped = [*self.lost]
         return self._frames()
+
+    def _lose(self, message: str) -> None:
+        """As `_refuse`, for a part of the recording in which there may be frames."""
+        self._refuse(message)
+        self.lost.append(message)
 
     def _frames(self) -> Iterator[Frame]:
         index, record = -1, _NO_RECORD
-        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._refuse):
+        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose):
             if message.topic.type == FRAME_TYPE:
                 record = message
             elif message.topic.name == self.topic:

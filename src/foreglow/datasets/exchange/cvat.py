@@ -112,7 +112,8 @@ def _points(shape: Element, origin: str) -> list[tuple[float, float]]:
 def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
     """Each track is a vehicle or a light; every frame of the task is labelled, and no other.
 
-    Where a track goes on and has no shape, the frame is left out: it was deleted in CVAT, or is for interpolation.
+    Where a track goes on and has no shape, the frame is left out: it was deleted in CVAT, or is for interpolation. A
+    track goes on to where it is outside, or else to the end of the task.
     """
     frames = _frames(root, path)
     size = root.find("meta/task/original_size")
@@ -139,7 +140,7 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
                 steps = f" in steps of {frames.step}" if frames.step > 1 else ""
                 raise ValueError(f"{origin}: frame: expected {frames[0]} to {frames[-1]}{steps}, got {frame}")
             marks[frame] += _marks(shape, track.get("label"), common, origin, lost)
-        for frame, after in itertools.pairwise(sorted(seen)):
+        for frame, after in itertools.pairwise([*sorted(seen), frames.stop]):
             if not seen[frame]:
                 unknown.update(range(frame + frames.step, min(after, frames.stop), frames.step))
     for frame in unknown:

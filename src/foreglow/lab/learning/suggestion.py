@@ -190,8 +190,8 @@ def read_suggestions(path: Path, sequences: Mapping[int, str] | None = None) -> 
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it has no such column, a number is none or that of no frame, or a sequence is another one; the
-            message names the line.
+        ValueError: If it has no such column or no line after it, a number is none or that of no frame, or a sequence
+            is another one; the message names the line.
     """
     try:
         rows = list(csv.reader(line.decode("utf-8-sig") for line in read_lines(path)))
@@ -199,6 +199,8 @@ def read_suggestions(path: Path, sequences: Mapping[int, str] | None = None) -> 
         raise ValueError(f"{path}: expected a CSV file: {error}") from None
     if not rows or "frame" not in rows[0]:
         raise ValueError(f"{path}: line 1: expected a column called frame, got {shortened(rows[0] if rows else '')}")
+    if len(rows) < 2:
+        raise ValueError(f"{path}: line 2: expected at least one frame, got none")
     column, sequence_column = (rows[0].index(name) if name in rows[0] else -1 for name in ("frame", "sequence"))
     frames = set()
     for line, row in enumerate(rows[1:], start=2):

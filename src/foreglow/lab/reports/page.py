@@ -13,7 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from foreglow.files import to_json, write_json_results
+from foreglow.files import in_unicode, to_json, write_json_results
 from foreglow.outputs import running_command
 from foreglow.provenance import provenance
 from foreglow.whole_files import make_folder, together, write_atomic
@@ -213,13 +213,13 @@ class Page:
         self._add(f"```\n{text}```", folded)
 
     def markdown(self) -> str:
-        """The whole page as Markdown; figures are references to files beside it."""
-        return "\n\n".join(self._markdown) + "\n"
+        """The whole page as Markdown in UTF-8; figures are references to files beside it."""
+        return in_unicode("\n\n".join(self._markdown) + "\n")
 
     def html(self) -> str:
-        """The whole page as one HTML file with everything in it, but for `media`."""
+        """The whole page as one HTML file in UTF-8 with everything in it, but for `media`."""
         title = escape(self.title)
-        return "\n".join(
+        text = "\n".join(
             [
                 f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>',
                 f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>',
@@ -227,6 +227,7 @@ class Page:
                 "</body></html>\n",
             ]
         )
+        return in_unicode(text)
 
     def write(
         self,

@@ -211,7 +211,7 @@ def write_report(folder: Path, path: Path | None = None) -> Path:
         ModuleNotFoundError: If matplotlib is not installed.
     """
     path = path or folder / "report.html"
-    if path.suffix.lower() not in ("", ".html", ".htm"):
+    if path.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"{path}: expected a report whose name ends with .html or .htm")
     run = read_run(folder)
     write_atomic(path, _page(run).html().encode())
@@ -272,7 +272,7 @@ def _facts(run: RecordedRun) -> Table:
         ["processor", summary.processor],
         ["frames", f"{summary.num_frames}{'' if summary.is_complete else ', incomplete'}"],
         ["sequences", len(run.sequences)],
-        ["unreadable frames skipped", summary.num_skipped],
+        ["skipped as unreadable", summary.num_skipped],
         ["proposals", summary.num_proposals],
         ["light artifacts", DASH if summary.num_accepted is None else summary.num_accepted],
         ["plausible tracks", DASH if summary.num_tracks is None else summary.num_tracks],

@@ -13,6 +13,7 @@ from foreglow.lab.simulation.drivable import read_drivable
 from foreglow.lab.simulation.drive import Drive
 from foreglow.lab.simulation.scenes.scenarios import scenario, with_beam
 from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.outputs import exists
 from foreglow.runtime.live.cameras import CameraOptions
 from foreglow.runtime.live.sources import START_S, ClosedLoop
 from foreglow.types import BeamCommand, Frame
@@ -28,8 +29,11 @@ def open_drive(name: str, options: CameraOptions) -> LiveDrive:
         FileNotFoundError: If there is no such file.
         ValueError: If the file is broken or cannot be driven, or there is no such scenario or quality.
     """
-    scene = read_drivable(Path(name)) if name.endswith(".toml") else scenario(name, options.seed)
-    return LiveDrive(scene, options.quality)
+    if name.endswith(".toml"):
+        return LiveDrive(read_drivable(Path(name)), options.quality)
+    if "/" in name or exists(Path(name)):
+        raise ValueError(f"{name}: expected a scene, a file whose name ends with .toml, or the name of a scenario")
+    return LiveDrive(scenario(name, options.seed), options.quality)
 
 
 class LiveDrive(ClosedLoop):

@@ -24,7 +24,7 @@ from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.run import PATIENCE_S, InterruptFlag, check_readable
-from foreglow.types import BeamCommand
+from foreglow.types import BeamCommand, Frame
 
 LIVE_FAULTS = frozenset(LiveFault)
 
@@ -74,6 +74,10 @@ class LiveEndedError(TimeoutError):
         self.summary = summary
 
 
+class _UnfitError(ValueError):
+    """The configuration does not fit the frames, so that no later frame is another chance."""
+
+
 ASLEEP_S = 0.5
 """When the watching thread itself was late by this, the whole process had stopped: time that no stage has used."""
 
@@ -117,7 +121,7 @@ class LiveLoop:
         Raises:
             ValueError: If the lamps' description is broken.
         """
-        self._source, self._config = source, config.live
+        self._source, self._config, self._proposals = source, config.live, config.proposals
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
         self._at_end, self._give_up_s = at_end, give_up_s
         self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
@@ -147,7 +151,8 @@ class LiveLoop:
         Raises:
             LiveEndedError: If `MAX_HUNG` pipelines hang, no frame came for `give_up_s`, or a source that is no camera
                 cannot be read any further; it has the summary.
-            ValueError: If a source has frames, and none of them can be read.
+            ValueError: If a source has frames, and none of them can be read, or the first one is too small for the
+                configured region.
             Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
         """
         self._limit = limit
@@ -242,20 +247,29 @@ class LiveLoop:
                 for frame in self._source:
                     if self._is_stopped.is_set():
                         return
+                    if not self._mailbox.num_put:
+                        self._check_fit(frame)
                     if self._watch.arrived(frame):
                         self._mailbox.put(Arrival(frame, self._source.now_ns()))
                     else:
                         self._command_low()
                 reason = "the source has ended"
             except BaseException as error:  # no signal's, as this is not the main thread
-                if not self._source.is_endless:
+                if not self._source.is_endless or isinstance(error, _UnfitError):
                     self._error = error
                 reason = f"{type(error).__name__}: {words_of(error)}"
-            if not self._source.is_endless:
+            if not self._source.is_endless or self._error is not None:
                 self._has_ended.set()
                 return
             self._watch.lost(reason)
             self._is_stopped.wait(self._config.retry_s)
+
+    def _check_fit(self, frame: Frame) -> None:
+        """Raises if no frame of this size can be worked with: nothing that may pass, as what a stage raises."""
+        try:
+            self._proposals.check_region(frame.height_px, frame.width_px)
+        except ValueError as error:
+            raise _UnfitError(words_of(error)) from None
 
     def _supervise(self) -> None:
         """Checks both threads; commands low beam if frames are missing or a stage hangs."""

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
-from foreglow.datasets import FrameSource
+from foreglow.datasets import FrameSource, lost_parts
 from foreglow.runs.origin import origin_name
 from foreglow.types import BeamCommand, Frame
 
@@ -113,6 +113,11 @@ class Paced:
         return self._first_ns + round((time.monotonic_ns() - self._start_ns) * self.speed)
 
     def __iter__(self) -> Iterator[Frame]:
+        """The frames, at their time.
+
+        Raises:
+            ValueError: After the last one, if a part of the source is lost in which there may have been others.
+        """
         sequence, latest_ns = None, 0
         for frame in self._source:
             has_gap, latest_ns = frame.timestamp_ns - latest_ns > MAX_GAP_NS, frame.timestamp_ns
@@ -126,3 +131,7 @@ class Paced:
             yield frame
             if not self.is_lossless:
                 time.sleep(READ_AFTER * self._wait_s)
+        lost = lost_parts(self._source)
+        if lost:
+            more = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+            raise ValueError(f"expected a whole recording, frames may be lost: {lost[0]}{more}")

@@ -15,7 +15,7 @@ import foxglove
 from foxglove.mcap import MCAPWriteOptions
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.files import in_unicode
+from foreglow.files import path_in_unicode
 from foreglow.folder_lock import lock
 from foreglow.outputs import check_replaceable
 from foreglow.runs.origin import full_name
@@ -154,7 +154,7 @@ class RecordingFile:
                 disable_seeking=True,  # a chunk is written whole
             ),
         )
-        texts = {"version": metadata.version("foreglow"), "source": in_unicode(full_name(source_name))}
+        texts = {"version": metadata.version("foreglow"), "source": path_in_unicode(full_name(source_name))}
         self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
         self._chunk_start_ns: int | None = None
         self._is_open = True
