@@ -54,7 +54,8 @@ def samples_of(image: NDArray[Any]) -> NDArray[np.int64]:
     mixed = numbers * 2654435761 % 2**32
     rows = numbers // num_across * height + (mixed >> 24) * height // 256
     columns = numbers % num_across * width + (mixed >> 16) % 256 * width // 256
-    return image[rows, columns].astype(np.int64)
+    samples: NDArray[np.int64] = image[rows, columns].astype(np.int64)
+    return samples
 
 
 def reference_parts(images: list[NDArray[Any]], reference: NDArray[Any] | None, top: int) -> dict[str, float]:

@@ -45,12 +45,13 @@ class FileSource:
     Attributes:
         origin: The file or folder, as it was given.
         skipped: A line for each part that the latest iteration left out so far.
-        lost: Those lines of `skipped` that are about a part of the file in which there may be any number of frames.
+        lost_parts: Those lines of `skipped` that are about a part of the file in which there may be any number of
+            frames.
     """
 
     origin: Path
     skipped: list[str]
-    lost: list[str]
+    lost_parts: list[str]
 
     def __init__(self, origin: Path | str, on_error: OnError) -> None:
         """Takes where the frames are, and what a bad one does.
@@ -61,7 +62,7 @@ class FileSource:
         if on_error not in get_args(OnError):
             raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
         self.origin = Path(origin)
-        self.skipped, self.lost = [], []
+        self.skipped, self.lost_parts = [], []
         self._on_error = on_error
 
     def _refuse(self, message: str) -> None:

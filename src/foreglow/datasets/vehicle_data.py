@@ -157,10 +157,10 @@ def origin_of(source: FrameSource) -> Path | None:
 
 
 def lost_parts(source: FrameSource) -> Sequence[str]:
-    """`FileSource.lost` of what `source` reads; empty for sources that are no `FileSource`."""
+    """`FileSource.lost_parts` of what `source` reads; empty for sources that are no `FileSource`."""
     if isinstance(source, Equipped):
         return lost_parts(source.source)
-    return source.lost if isinstance(source, FileSource) else ()
+    return source.lost_parts if isinstance(source, FileSource) else ()
 
 
 def part_names(source: FrameSource) -> tuple[str, ...]:

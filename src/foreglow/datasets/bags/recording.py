@@ -189,7 +189,7 @@ class Recording(FileSource):
         self.topic, self._decode = found.name, DECODERS[found.type, found.encoding]
         self.num_frames = self._container.count(self.topic)
         self.rate_hz = self._rate_hz()
-        self.skipped, self.lost = [], []
+        self.skipped, self.lost_parts = [], []
 
     @property
     def name(self) -> str:
@@ -197,14 +197,14 @@ class Recording(FileSource):
         return self.path.name
 
     def __iter__(self) -> Iterator[Frame]:
-        self.lost = [self._container.truncation] if self._container.truncation else []
-        self.skipped = [*self.lost]
+        self.lost_parts = [self._container.truncation] if self._container.truncation else []
+        self.skipped = [*self.lost_parts]
         return self._frames()
 
     def _lose(self, message: str) -> None:
         """As `_refuse`, for a part of the recording in which there may be frames."""
         self._refuse(message)
-        self.lost.append(message)
+        self.lost_parts.append(message)
 
     def _frames(self) -> Iterator[Frame]:
         index, record = -1, _NO_RECORD
