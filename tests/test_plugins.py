@@ -224,7 +224,7 @@ def test_a_method_that_is_called_otherwise(folder: Path, kind: str) -> None:
     calibration = shipped_drive() / "simulation" / "S00001" / "camera.toml"
     arguments = ("--limit", 1, "--config", config, "--calibration", calibration, "--out", folder / "out")
     line = complaint("beam", shipped_drive(), *arguments)
-    assert line.startswith(f"foreglow: {section}.{field}: otherwise:Other: expected Other.{expected}")
+    assert line.startswith(f"foreglow: {config}: {section}.{field}: otherwise:Other: expected Other.{expected}")
     assert not (folder / "out").exists()
     other: Any = find("field", "otherwise:Other", {}, GROUP)
     given: Any = {kind: other}
