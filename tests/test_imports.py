@@ -53,7 +53,8 @@ ALLOWED: dict[str, set[str]] = {
     "folder_lock": set(),
     "outputs": {"files", "whole_files", "datasets"},
     "inputs": {"files", "outputs"},
-    "options": {"config", "beam", "datasets", "files", "inputs", "folder_lock", "outputs", "parallel", "plugins"},
+    "command_line": {"files", "inputs", "folder_lock", "outputs"},
+    "options": {"command_line", "config", "beam", "datasets", "files", "outputs", "parallel", "plugins"},
     "lab": set(),
     "lab.simulation": VALUES
     | BASES
@@ -61,9 +62,10 @@ ALLOWED: dict[str, set[str]] = {
     "lab.evaluation": CAR,
     "lab.learning": CAR | {"models", "folder_lock", "outputs", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"outputs", "lab.simulation", "lab.evaluation", "lab.learning"},
-    "lab.studies": CAR | {"models", "options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
+    "lab.studies": CAR
+    | {"models", "command_line", "options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
-    "cli": CAR | LAB | {"options", "folder_lock", "outputs", "foreglow"},
+    "cli": CAR | LAB | {"command_line", "options", "folder_lock", "outputs", "foreglow"},
 }
 """For every room, the other rooms that it may import; "foreglow" is the package's own file, with names of all rooms."""
 

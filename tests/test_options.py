@@ -12,16 +12,8 @@ import typer
 from typer.testing import CliRunner
 
 from foreglow.cli.shared_run import open_frames
-from foreglow.options import (
-    PipelineOptions,
-    SourceOptions,
-    VehicleOptions,
-    WorkerOptions,
-    argument,
-    flag,
-    option,
-    with_options,
-)
+from foreglow.command_line import argument, flag, option, with_options
+from foreglow.options import PipelineOptions, SourceOptions, VehicleOptions, WorkerOptions
 from foreglow.runtime import Opening
 
 SharedOption = Annotated[int, option("N", "A shared number.")]

@@ -19,18 +19,8 @@ from foreglow.cli.shared_run import (
     unused_lines,
     viewer_sinks,
 )
-from foreglow.options import (
-    BeamOptions,
-    OutOption,
-    PipelineOptions,
-    SourceOptions,
-    VehicleOptions,
-    ViewOptions,
-    argument,
-    flag,
-    option,
-    with_options,
-)
+from foreglow.command_line import argument, flag, option, with_options
+from foreglow.options import BeamOptions, OutOption, PipelineOptions, SourceOptions, VehicleOptions, ViewOptions
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig

@@ -9,17 +9,8 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.shared_calibration import calibrate_source, calibration_lines, write_calibration
-from foreglow.options import (
-    LensOptions,
-    SourceArgument,
-    SourceOptions,
-    argument,
-    flag,
-    option,
-    output_file,
-    size_from,
-    with_options,
-)
+from foreglow.command_line import argument, flag, option, output_file, with_options
+from foreglow.options import LensOptions, SourceArgument, SourceOptions, size_from
 from foreglow.outputs import check_unnamed_outputs
 
 calibrate = typer.Typer(

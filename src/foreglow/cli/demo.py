@@ -9,7 +9,8 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import beam_sink, finish, open_frames, picture_sink, run_frames, source_notes
-from foreglow.options import ModelOption, PipelineOptions, SourceOptions, VehicleOptions, argument, folder, with_options
+from foreglow.command_line import argument, folder, with_options
+from foreglow.options import ModelOption, PipelineOptions, SourceOptions, VehicleOptions
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, file, folder, with_options
+from foreglow.command_line import argument, file, folder, with_options
 
 
 @app.command()

@@ -11,17 +11,8 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import run_in_parallel, say_lack
-from foreglow.options import (
-    PipelineOptions,
-    WorkerOptions,
-    argument,
-    file,
-    flag,
-    folder,
-    option,
-    output_file,
-    with_options,
-)
+from foreglow.command_line import argument, file, flag, folder, option, output_file, with_options
+from foreglow.options import PipelineOptions, WorkerOptions
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -9,18 +9,10 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
+from foreglow.command_line import argument, file, folder, option, with_options
 from foreglow.folder_lock import check_folder
 from foreglow.lab.studies import STUDIES
-from foreglow.options import (
-    DeviceOption,
-    PipelineOptions,
-    WorkerOptions,
-    argument,
-    file,
-    folder,
-    option,
-    with_options,
-)
+from foreglow.options import DeviceOption, PipelineOptions, WorkerOptions
 
 experiment = typer.Typer(no_args_is_help=True, help="Run an experiment: figures, tables and a report in a folder.")
 app.add_typer(experiment, name="experiment")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, flag, folder, option, with_options
+from foreglow.command_line import argument, flag, folder, option, with_options
 
 
 @app.command("export-mot")

@@ -10,20 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from foreglow.cli.app import app
+from foreglow.command_line import argument, file, folder, option, output_file, with_options
 from foreglow.folder_lock import locked
-from foreglow.options import (
-    ConfigOption,
-    DeviceOption,
-    PatienceOption,
-    PipelineOptions,
-    WorkerOptions,
-    argument,
-    file,
-    folder,
-    option,
-    output_file,
-    with_options,
-)
+from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WorkerOptions
 from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
 from foreglow.cli.shared_run import recording_sinks, viewer_sinks
+from foreglow.command_line import argument, folder, option, output_file, refuse_unused, with_options
 from foreglow.options import (
     RECORD_HELP,
     RECORDING_SUFFIXES,
@@ -23,12 +24,6 @@ from foreglow.options import (
     TopicOption,
     VehicleOptions,
     ViewOptions,
-    argument,
-    folder,
-    option,
-    output_file,
-    refuse_unused,
-    with_options,
 )
 
 if TYPE_CHECKING:

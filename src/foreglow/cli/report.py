@@ -9,7 +9,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import say_lack
-from foreglow.options import argument, output_file, with_options
+from foreglow.command_line import argument, output_file, with_options
 
 
 @app.command()

@@ -16,6 +16,7 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
 from foreglow.cli.signals import INTERRUPTED
+from foreglow.command_line import argument, flag, option, refuse_unused, with_options
 from foreglow.options import (
     CalibrationOption,
     CaptureOptions,
@@ -23,11 +24,6 @@ from foreglow.options import (
     PipelineOptions,
     SourceOptions,
     VehicleOptions,
-    argument,
-    flag,
-    option,
-    refuse_unused,
-    with_options,
 )
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from foreglow.cli.shared_run import (
     unused_lines,
     viewer_sinks,
 )
+from foreglow.command_line import flag, folder, output_file, with_options
 from foreglow.options import (
     AUTO,
     RECORDING_SUFFIXES,
@@ -34,10 +35,6 @@ from foreglow.options import (
     VehicleOptions,
     ViewOptions,
     WorkerOptions,
-    flag,
-    folder,
-    output_file,
-    with_options,
 )
 from foreglow.outputs import check_unnamed_outputs
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import QualityOption, WorkerOptions, file, flag, folder, listed, option, size_from, with_options
+from foreglow.command_line import file, flag, folder, listed, option, with_options
+from foreglow.options import QualityOption, WorkerOptions, size_from
 
 if TYPE_CHECKING:
     from foreglow.lab import simulation

@@ -11,15 +11,8 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import open_frames
-from foreglow.options import (
-    PipelineOptions,
-    SourceArgument,
-    SourceOptions,
-    VehicleOptions,
-    option,
-    output_file,
-    with_options,
-)
+from foreglow.command_line import option, output_file, with_options
+from foreglow.options import PipelineOptions, SourceArgument, SourceOptions, VehicleOptions
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.options import argument, file, folder, option, output_file, with_options
+from foreglow.command_line import argument, file, folder, option, output_file, with_options
 
 yolo = typer.Typer(no_args_is_help=True, help="Train and run a YOLO on the same boxes, for comparison.")
 app.add_typer(yolo, name="yolo")

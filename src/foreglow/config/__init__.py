@@ -1,16 +1,14 @@
 """A frozen model for each stage, and `PipelineConfig` with all of them; they are read from and written to TOML."""
 
+from foreglow.config.beam import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.config.fields import FrozenModel, validated
 from foreglow.config.pipeline import PRESETS, PipelineConfig, config_to_toml, preset, read_config
 from foreglow.config.stages import (
     OUR_TRACKER,
     PUBLISHED_TRACKER,
-    BeamConfig,
     ClassifierConfig,
     Dispatch,
     DistanceConfig,
-    GuardConfig,
-    LitStreetConfig,
     LiveConfig,
     ProposalConfig,
     StandingConfig,

@@ -8,14 +8,12 @@ from typing import Any
 
 import tomli_w
 
+from foreglow.config.beam import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.config.fields import FrozenModel, validated
 from foreglow.config.stages import (
     OUR_TRACKER,
-    BeamConfig,
     ClassifierConfig,
     DistanceConfig,
-    GuardConfig,
-    LitStreetConfig,
     LiveConfig,
     ProposalConfig,
     StandingConfig,

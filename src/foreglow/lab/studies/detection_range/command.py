@@ -7,7 +7,8 @@ from typing import Annotated, cast
 
 import typer
 
-from foreglow.options import PipelineOptions, ReportOption, SplitOption, argument
+from foreglow.command_line import argument
+from foreglow.options import PipelineOptions, ReportOption, SplitOption
 
 
 def command(

@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from foreglow.options import (
-    DeviceOption,
-    PatienceOption,
-    SplitOption,
-    argument,
-    file,
-    flag,
-    folder,
-    listed,
-    option,
-)
+from foreglow.command_line import argument, file, flag, folder, listed, option
+from foreglow.options import DeviceOption, PatienceOption, SplitOption
 
 if TYPE_CHECKING:
     from foreglow.datasets import SplitName

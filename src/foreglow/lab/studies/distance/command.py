@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from foreglow.options import (
-    ReportOption,
-    SourceOptions,
-    SplitOption,
-    VehicleOptions,
-    argument,
-    file,
-    flag,
-    listed,
-    option,
-)
+from foreglow.command_line import argument, file, flag, listed, option
+from foreglow.options import ReportOption, SourceOptions, SplitOption, VehicleOptions
 
 if TYPE_CHECKING:
     from foreglow.datasets import SplitName

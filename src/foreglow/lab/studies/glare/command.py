@@ -7,16 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from foreglow.options import (
-    BeamOptions,
-    PaperModelOption,
-    PipelineOptions,
-    QualityOption,
-    WorkerOptions,
-    argument,
-    folder,
-    option,
-)
+from foreglow.command_line import argument, folder, option
+from foreglow.options import BeamOptions, PaperModelOption, PipelineOptions, QualityOption, WorkerOptions
 
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig

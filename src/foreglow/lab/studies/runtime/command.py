@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, SplitOptions, option
+from foreglow.command_line import option
+from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, SplitOptions
 
 
 def command(

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from foreglow.options import ReportOption, argument, file
+from foreglow.command_line import argument, file
+from foreglow.options import ReportOption
 
 
 def command(

@@ -7,7 +7,8 @@ from typing import Annotated, cast
 
 import typer
 
-from foreglow.options import PaperModelOption, PipelineOptions, ReportOption, argument, listed, option
+from foreglow.command_line import argument, listed, option
+from foreglow.options import PaperModelOption, PipelineOptions, ReportOption
 
 
 def command(
