@@ -180,7 +180,7 @@ def check_each_once(values: Iterable[Path | str], field: str) -> None:
         seen.add(key)
 
 
-def check_folder(path: Path, expected: str) -> None:
+def check_is_folder(path: Path, expected: str) -> None:
     """Passes a folder.
 
     Raises:
@@ -325,7 +325,8 @@ def check_json(data: bytes | str, origin: str) -> None:
 
 
 def _check_pairs(pairs: list[tuple[str, Any]]) -> None:
-    check_each_once([key for key, _ in pairs], "keys")
+    if len(dict(pairs)) < len(pairs):
+        check_each_once([key for key, _ in pairs], "keys")
 
 
 _KEYS = json.JSONDecoder(object_pairs_hook=_check_pairs)

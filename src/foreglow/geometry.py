@@ -28,9 +28,9 @@ MAX_DISTORTION = 1e6
 MAX_CENTRE_SIDES = 2.0
 """How far a principal point may lie outside its image, in longer sides of it: images are cut out of larger ones."""
 
-NUM_UNDISTORTION_STEPS = 60
-"""Fixed-point steps that invert the distortion; with ordinary lenses the error is below 1e-9 after ten, and at the
-corners of KITTI's wide ones each step halves it."""
+NUM_UNDISTORTION_STEPS, LEAST_UNDISTORTION_STEP = 60, 1e-13
+"""Fixed-point steps that invert the distortion, unless all are smaller, in focal lengths. With ordinary lenses the
+error is below 1e-9 after ten, and at the corners of KITTI's wide ones each step halves it."""
 
 MAX_REPROJECTION = 1e-6
 """A pixel whose ray does not project back to it this closely, in longer sides of the image, has no ray, because the
@@ -40,13 +40,13 @@ NUM_CHECKED_NODES = 33
 """Pixels a side, corners included, at which the distortion of a calibration is undone when it is read."""
 
 
-def floats_of(field: str, values: object) -> Floats:
+def checked_floats(field: str, values: object) -> Floats:
     """A copy of `values`, a number or numbers of any shape, as float64.
 
     Raises:
         ValueError: If they are something else; the message begins with `field`.
 
-    >>> floats_of("Pose.position_m", {})
+    >>> checked_floats("Pose.position_m", {})
     Traceback (most recent call last):
     ValueError: Pose.position_m: expected numbers, got {}
     """
@@ -57,13 +57,13 @@ def floats_of(field: str, values: object) -> Floats:
     raise ValueError(f"{field}: expected numbers, got {values!r:.80}")
 
 
-def number_of(field: str, value: object) -> float:
+def checked_number(field: str, value: object) -> float:
     """`value`, perhaps NaN or infinite, as a plain number.
 
     Raises:
         ValueError: If it is no number, or one that a float cannot hold; the message begins with `field`.
 
-    >>> number_of("EgoMotion.speed_mps", "fast")
+    >>> checked_number("EgoMotion.speed_mps", "fast")
     Traceback (most recent call last):
     ValueError: EgoMotion.speed_mps: expected a number, got 'fast'
     """
@@ -118,7 +118,10 @@ class Pose:
     rotation: Floats
 
     def __post_init__(self) -> None:
-        position, turned = floats_of("Pose.position_m", self.position_m), floats_of("Pose.rotation", self.rotation)
+        position, turned = (
+            checked_floats("Pose.position_m", self.position_m),
+            checked_floats("Pose.rotation", self.rotation),
+        )
         if position.shape != (3,) or not np.isfinite(position).all():
             raise ValueError(f"Pose.position_m: expected three finite numbers, got {self.position_m!r}")
         is_rotation = turned.shape == (3, 3) and np.allclose(turned @ turned.T, np.eye(3), atol=1e-6)
@@ -162,7 +165,7 @@ class MountSigmas:
 
     def __post_init__(self) -> None:
         for name in ("yaw_rad", "pitch_rad", "roll_rad", "height_m"):
-            if not 0.0 <= number_of(f"MountSigmas.{name}", getattr(self, name)) < np.inf:
+            if not 0.0 <= checked_number(f"MountSigmas.{name}", getattr(self, name)) < np.inf:
                 raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {getattr(self, name)}")
 
 
@@ -242,7 +245,7 @@ class Camera:
         if self.width_px < 1 or self.height_px < 1:
             raise ValueError(f"Camera: expected a size of at least 1x1, got {self.width_px}x{self.height_px}")
         for name, count in (("focal_px", 2), ("centre_px", 2), ("distortion", 5)):
-            if floats_of(f"Camera.{name}", getattr(self, name)).shape != (count,):
+            if checked_floats(f"Camera.{name}", getattr(self, name)).shape != (count,):
                 raise ValueError(f"Camera.{name}: expected {count} numbers, got {getattr(self, name)!r:.80}")
         for name, kind in (("vehicle_from_camera", Pose), ("mount_sigmas", MountSigmas)):
             if not isinstance(getattr(self, name), kind):
@@ -293,12 +296,15 @@ class Camera:
         True
         """
         points = np.asarray(pixels, np.float64)
-        distorted = (points - self.centre_px) / self.focal_px
-        u, v = distorted[..., 0], distorted[..., 1]
+        wanted_u, wanted_v = np.moveaxis((points - self.centre_px) / self.focal_px, -1, 0)
+        u, v = wanted_u, wanted_v
         if any(self.distortion):
             for _ in range(NUM_UNDISTORTION_STEPS):
-                du, dv = self._distorted(u, v)
-                u, v = u + distorted[..., 0] - du, v + distorted[..., 1] - dv
+                found_u, found_v = self._distorted(u, v)
+                du, dv = wanted_u - found_u, wanted_v - found_v
+                u, v = u + du, v + dv
+                if max(np.abs(du).max(initial=0.0), np.abs(dv).max(initial=0.0)) < LEAST_UNDISTORTION_STEP:
+                    break
         rays = np.stack([np.ones_like(u), -u, -v], -1)
         return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 

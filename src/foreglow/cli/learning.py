@@ -219,10 +219,10 @@ def train(
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
     given["max_negatives_per_positive"] = max_negatives
     chosen = recipes.changed(chosen, {name: value for name, value in given.items() if value is not None})
-    if recipe_file is not None and from_ is None:
+    if from_ is None:
         from foreglow.lab.learning.networks import recipe_network
 
-        recipe_network(chosen, str(recipe_file))
+        recipe_network(chosen, "recipe" if recipe_file is None else str(recipe_file))
     judged: tuple[Judged, ...] = ()
     check_own(out, TRAINING)
     if len({path.resolve() for path in data}) < len(data):

@@ -11,7 +11,7 @@ from types import MappingProxyType, NoneType
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import Camera, floats_of, number_of
+from foreglow.geometry import Camera, checked_floats, checked_number
 from foreglow.types.arrays import Image, Value, checked_time_ns, frozen_view
 
 MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
@@ -53,9 +53,9 @@ class EgoMotion(Value):
 
     def __post_init__(self) -> None:
         for name in ("speed_mps", "yaw_rate_radps"):
-            if not math.isfinite(number_of(f"EgoMotion.{name}", getattr(self, name))):
+            if not math.isfinite(checked_number(f"EgoMotion.{name}", getattr(self, name))):
                 raise ValueError(f"EgoMotion.{name}: expected a finite number, got {getattr(self, name)}")
-        if math.isinf(number_of("EgoMotion.pitch_rad", self.pitch_rad)):
+        if math.isinf(checked_number("EgoMotion.pitch_rad", self.pitch_rad)):
             raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {self.pitch_rad}")
 
 
@@ -84,8 +84,8 @@ class RoadAhead(Value):
     error_bound_m: float = math.inf
 
     def __post_init__(self) -> None:
-        points = floats_of("RoadAhead.points_m", self.points_m)
-        half_width_m = number_of("RoadAhead.half_width_m", self.half_width_m)
+        points = checked_floats("RoadAhead.points_m", self.points_m)
+        half_width_m = checked_number("RoadAhead.half_width_m", self.half_width_m)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise ValueError(f"RoadAhead.points_m: expected shape (N, 3) with N >= 2, got {points.shape}")
         if not np.isfinite(points).all():
@@ -104,9 +104,9 @@ class RoadAhead(Value):
             raise ValueError(f"RoadAhead.half_width_m: expected a positive number, got {self.half_width_m}")
         if half_width_m > MAX_HALF_WIDTH_M:
             raise ValueError(f"RoadAhead.half_width_m: expected at most {MAX_HALF_WIDTH_M:g}, got {self.half_width_m}")
-        if not number_of("RoadAhead.error_bound_m", self.error_bound_m) >= 0:
+        if not checked_number("RoadAhead.error_bound_m", self.error_bound_m) >= 0:
             raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {self.error_bound_m}")
-        slopes = floats_of("RoadAhead.cross_slopes", self.cross_slopes)
+        slopes = checked_floats("RoadAhead.cross_slopes", self.cross_slopes)
         if not slopes.size:
             slopes = np.zeros(len(points))
         if slopes.shape != (len(points),) or not np.isfinite(slopes).all():

@@ -31,7 +31,7 @@ from foreglow.datasets.pvdn.splits import find_split
 from foreglow.datasets.simulated.vehicle import SimulatedVehicle
 from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import equip
-from foreglow.files import check_folder, shortened
+from foreglow.files import check_is_folder, shortened
 from foreglow.types import Frame
 
 PVDN_RATE_HZ = 18.0
@@ -113,7 +113,7 @@ class PVDN(LabelledSource):
         """
         super().__init__(root, on_error)
         folder = Path(root)
-        check_folder(folder, "a PVDN split or sequence")
+        check_is_folder(folder, "a PVDN split or sequence")
         self.root, self._directory = find_split(folder)
         self.labels: PVDNLabels = read_labels(self.root)
         self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)

@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from foreglow.files import check_folder
+from foreglow.files import check_is_folder
 
 SplitName: TypeAlias = Literal["train", "val", "test"]
 SPLIT_NAMES: tuple[SplitName, ...] = ("train", "val", "test")
@@ -35,7 +35,7 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
         ValueError: If there are several, such as those of `day` and `night`.
     """
     root = Path(data)
-    check_folder(root, "a data set with train, val and test")
+    check_is_folder(root, "a data set with train, val and test")
     found = sorted(path for path in (root / name, *root.glob(f"*/{name}")) if is_split(path))
     if not found:
         raise FileNotFoundError(f"{root}: expected the split {name} in it, or in one of its folders, found none")

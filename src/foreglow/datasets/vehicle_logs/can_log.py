@@ -8,6 +8,7 @@ import threading
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Collection
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
@@ -360,6 +361,7 @@ def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
     return {name: float(value) for name, value in values.items() if math.isfinite(value)}
 
 
+@lru_cache(maxsize=1024)  # by the object: a bus brings the same few messages again and again
 def _unknown_codes(message: Message) -> dict[str, set[int]]:
     """By signal, the codes to which the DBC's value table gives a name that says that the value is not known."""
     codes = {
