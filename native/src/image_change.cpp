@@ -17,6 +17,7 @@ constexpr std::int64_t row_step = 7;      // one row of so many is looked at: a 
 constexpr std::size_t num_at_once = 1 << 15;  // samples are counted at once, so that sums fit into their types
 constexpr std::int64_t rarely_filled = 20;  // less than one bright sample of so many says nothing
 constexpr double filled_share = 0.9;        // of the samples of one level, so many are as before where it is a filling
+constexpr std::uint16_t long_images = 36;   // a sample that is as before in so many images has not changed for long
 constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
 constexpr std::int64_t max_pieces = 8;    // of a row, to see whether one is flat
 constexpr std::int64_t num_columns = 160; // about so many are compared from row to row
@@ -204,6 +205,7 @@ void ImageComparer::digest(const ImageView& image, ImageChange& change) {
     now_.pixel_type = image.pixel_type;
     now_.blocks.resize(static_cast<std::size_t>(grid.num_down * grid.num_across));
     now_.samples.resize(now_.blocks.size());
+    is_textured_.resize(now_.blocks.size());
     now_.vertical.assign(static_cast<std::size_t>(grid.lines_across * grid.segments_down), 0);
     now_.horizontal.resize(static_cast<std::size_t>(grid.lines_down * grid.segments_across));
     Rows<Pixel> rows(image);
@@ -222,7 +224,9 @@ void ImageComparer::digest(const ImageView& image, ImageChange& change) {
             const auto index = static_cast<std::size_t>(j * grid.num_across + i);
             now_.blocks[index] = std::accumulate(block, block + grid.block_width, 0U);
             const Pixel* row = image.row<Pixel>(top + place_of_sample(index, grid.block_height, 24));
-            now_.samples[index] = row[i * grid.block_width + place_of_sample(index, grid.block_width, 16)];
+            const std::int64_t x = i * grid.block_width + place_of_sample(index, grid.block_width, 16);
+            now_.samples[index] = row[x];
+            is_textured_[index] = row[x] != row[x + 1 < image.width_px ? x + 1 : std::max<std::int64_t>(0, x - 1)];
         }
         if (j / 2 >= grid.segments_down) continue;
         std::int32_t* jumps = now_.vertical.data() + j / 2 * grid.lines_across;
@@ -239,7 +243,9 @@ void ImageComparer::compare_samples(std::int32_t top, ImageChange& change) {
     are_bright_.front().resize(num, 1);
     was_changed_.resize(num, 1);
     is_changed_.resize(num);
-    SampleCount<std::int64_t> all, bright;
+    num_same_.resize(num);
+    SampleCount<std::int64_t> all, bright, textured;
+    std::int64_t num_same_long = 0;
     for (std::size_t first = 0; first < num; first += num_at_once) {
         const std::uint16_t *now = now_.samples.data() + first, *before = before_.samples.data() + first,
                             *is_bright = are_bright_.front().data() + first, *was_changed = was_changed_.data() + first;
@@ -274,7 +280,20 @@ void ImageComparer::compare_samples(std::int32_t top, ImageChange& change) {
     };
     change.contrast = (mean(bright.sum, bright.num_now) - mean(all.sum - bright.sum, all.num_now - bright.num_now)) *
                       top_level / static_cast<double>(top);
-    if (all.num_now > 0) std::swap(is_changed_, was_changed_);
+    if (all.num_now == 0) return;
+    for (std::size_t i = 0; i < num; ++i) {
+        const std::uint16_t same = is_changed_[i] ^ 1, was_changed = was_changed_[i] & is_textured_[i];
+        num_same_[i] = same ? static_cast<std::uint16_t>(std::min<int>(num_same_[i] + 1, long_images)) : 0;
+        num_same_long += is_textured_[i] & (num_same_[i] == long_images);
+        textured.num += is_textured_[i];
+        textured.num_now += is_textured_[i] & is_changed_[i];
+        textured.num_before += was_changed;
+        textured.num_twice += was_changed & is_changed_[i];
+    }
+    change.num_textured = textured.num;
+    change.share_stuck_texture = textured.share_stuck();
+    change.share_same_long = textured.num ? static_cast<double>(num_same_long) / static_cast<double>(textured.num) : 0.0;
+    std::swap(is_changed_, was_changed_);
 }
 
 double ImageComparer::share_filled(std::int32_t top, std::int64_t num_bright) const {
@@ -316,6 +335,7 @@ void ImageComparer::keep() {
 void ImageComparer::forget_samples() {
     for (auto& is_bright : are_bright_) is_bright.clear();
     was_changed_.clear();
+    num_same_.clear();
 }
 
 void ImageComparer::reset() {

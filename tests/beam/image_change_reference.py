@@ -48,14 +48,26 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
 
 def samples_of(image: NDArray[Any]) -> NDArray[np.int64]:
     """One pixel of each block, anywhere in it."""
+    rows, columns = places(image)
+    return np.asarray(image[rows, columns], np.int64)
+
+
+def besides_of(image: NDArray[Any]) -> NDArray[np.int64]:
+    """The pixels to the right of the samples; at the right border those to the left."""
+    rows, columns = places(image)
+    besides = np.where(columns + 1 < image.shape[1], columns + 1, np.maximum(columns - 1, 0))
+    return np.asarray(image[rows, besides], np.int64)
+
+
+def places(image: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the samples."""
     height, width = min(BLOCK_PX, image.shape[0]), min(BLOCK_PX, image.shape[1])
     num_down, num_across = image.shape[0] // height, image.shape[1] // width
     numbers = np.arange(num_down * num_across).reshape(num_down, num_across)
     mixed = numbers * 2654435761 % 2**32
     rows = numbers // num_across * height + (mixed >> 24) * height // 256
     columns = numbers % num_across * width + (mixed >> 16) % 256 * width // 256
-    samples: NDArray[np.int64] = image[rows, columns].astype(np.int64)
-    return samples
+    return rows, columns
 
 
 def reference_parts(images: list[NDArray[Any]], reference: NDArray[Any] | None, top: int) -> dict[str, float]:
@@ -77,10 +89,13 @@ def reference_parts(images: list[NDArray[Any]], reference: NDArray[Any] | None, 
         share = is_same[is_bright & is_level].mean()
         if share > FILLED_SHARE and (is_same & is_level)[is_bright].mean() >= 1 / RARELY_FILLED:
             share_filled = min((is_same & is_level).mean(), (is_same & is_level)[is_bright].mean())
+    is_textured = now != besides_of(images[-1])
     means = [now[is_changed & part].mean() if (is_changed & part).any() else 0.0 for part in (is_bright, ~is_bright)]
     return {
         "num_bright": int(np.count_nonzero(is_bright)),
         "share_stuck": min(share_stuck(is_changed[part], was_changed[part]) for part in (is_bright, is_bright | True)),
+        "num_textured": int(np.count_nonzero(is_textured)) if is_changed.any() else 0,
+        "share_stuck_texture": share_stuck(is_changed[is_textured], was_changed[is_textured]),
         "share_filled": share_filled,
         "contrast": (means[0] - means[1]) * 255 / top,
     }

@@ -21,6 +21,10 @@ struct ImageChange {
     // Share of the samples that do not change at all, as estimated from those that changed now, before and both times;
     // of all samples and of the bright ones, the lesser.
     double share_stuck = 0.0;
+    // Samples that differ from the pixel beside them: there is noise, or an edge. Of these, the share that does not
+    // change at all, as estimated in the same way, and the share that has not changed for 36 images.
+    std::int64_t num_textured = 0;
+    double share_stuck_texture = 0.0, share_same_long = 0.0;
     // Share of the samples that are as before and of the level that most bright ones of them have, if nearly all bright
     // ones of that level are as before; of all samples and of the bright ones, the lesser.
     double share_filled = 0.0;
@@ -78,7 +82,7 @@ private:
     std::vector<std::uint32_t> changes_;
     // Of the samples; the references from the earliest on, as far as there are so many.
     std::array<std::vector<std::uint16_t>, 3> are_bright_;
-    std::vector<std::uint16_t> is_changed_, was_changed_;
+    std::vector<std::uint16_t> is_textured_, is_changed_, was_changed_, num_same_;
 };
 
 }  // namespace foreglow

@@ -10,7 +10,7 @@ import numpy as np
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage
-from foreglow.beam.image_pieces import ImagePieces
+from foreglow.beam.image_pieces import DARK, NEAR_TOP, ImagePieces
 from foreglow.beam.known_images import KnownImages
 from foreglow.config import GuardConfig
 from foreglow.types import Image
@@ -23,9 +23,6 @@ BIT_DEPTHS = (8, 10, 12, 14, 16)
 
 EVERY_ROW = 17
 """One row of so many is cut into pieces: a prime number, for rows of both half images, or of each third or fourth."""
-
-NEAR_TOP = 0.9
-"""A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
 
 CONTRAST_SHARE = 0.5
 """An image is black, too, whatever its black level is, if its pieces differ by no more than this share of `min_bright`.
@@ -55,6 +52,9 @@ NUM_FRESH = 3
 """The camera is alive where the noise is new in each of so many images: while it is frozen, more than `FRESH_SHARE` of
 the samples change in single key frames only."""
 
+NUM_UNKNOWN = 40
+"""After so many images of another size or type all is found that shows from the first image on."""
+
 NUM_RELEASED = 9
 """After so many still images in a row that changed by more than `STAYS_STILL_LEVELS`, the scene has become calmer."""
 
@@ -74,6 +74,8 @@ class CameraWatch:
     def reset(self) -> None:
         """Forgets the images so far."""
         self._brightest = 0
+        self._format: tuple[object, ...] | None = None
+        self._num_unknown = 0
         self._known_images.reset()
         self._comparer.reset()
         self._pieces.reset()
@@ -93,6 +95,8 @@ class CameraWatch:
             is_damaged: Whether the source says that it is.
         """
         faults = []
+        if self._is_resized(image):
+            faults.append(GuardFault.RESIZED)
         step = _prime(math.isqrt(image.size // NUM_SAMPLES))
         row, column = (min(step // 2, side - 1) for side in image.shape)
         sample = image[row::step, column::step].ravel()
@@ -133,6 +137,13 @@ class CameraWatch:
         if is_black:
             faults.append(GuardFault.BLACK)
         return faults
+
+    def _is_resized(self, image: Image) -> bool:
+        """Whether the images have had another size or type until now, or until just before."""
+        before, self._format = self._format, (*image.shape, image.dtype)
+        is_new = before is not None and before != self._format
+        self._num_unknown = NUM_UNKNOWN if is_new else max(0, self._num_unknown - 1)
+        return self._num_unknown > 0
 
 
 class _Stillness:
@@ -209,7 +220,7 @@ def _top(image: Image, brightest: int) -> int:
 
 def _share_of_one_value(sample: Image, top: int) -> float:
     """Share of the samples with the value that most of those have that are neither dark nor white."""
-    values = sample[(sample > 0.1 * top) & (sample < NEAR_TOP * top)]
+    values = sample[(sample > DARK * top) & (sample < NEAR_TOP * top)]
     if values.size == 0:
         return 0.0
     return float(np.bincount(values).max()) / sample.size

@@ -18,6 +18,8 @@ class GuardFault(StrEnum):
     """The same time twice, or an image that does not change although the vehicle moves."""
     DAMAGED = "image_damaged"
     """The source says so, or the image shows what only a damaged stream shows."""
+    RESIZED = "image_resized"
+    """The size or the type of the images has changed, and too few of the new ones are known to judge the next."""
     SATURATED = "image_saturated"
     """Too many pixels are as bright as the format allows."""
     BLACK = "image_black"

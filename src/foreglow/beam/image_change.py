@@ -32,6 +32,10 @@ class ImageChange:
         share_stuck: Estimated share of the samples that do not change at all, while new noise changes a share of the
             others each time, whatever share: `1 - c d / b` of the shares that changed now, before, and both times. Of
             all samples and of the bright ones, the lesser: the dark may be without noise. Negative by chance.
+        share_textured: Share of the samples that differ from the pixel beside them: there is noise, or an edge. Where
+            the dark has no noise, it has no texture.
+        share_stuck_texture: `share_stuck` of the textured samples.
+        share_same_long: Share of the textured samples that have not changed for 36 images.
         share_filled: Share of the samples that are as before and of one grey level, where nearly all samples of that
             level are as before that were bright; of all samples and of the bright ones, the lesser.
         contrast: How much brighter the bright samples are than the others, in the mean of those not as before.
@@ -52,6 +56,9 @@ class ImageChange:
     share_changed: float
     num_bright: int
     share_stuck: float
+    share_textured: float
+    share_stuck_texture: float
+    share_same_long: float
     share_filled: float
     contrast: float
     tile_shares: NDArray[np.float64]
@@ -92,6 +99,9 @@ class ImageComparer:
             share_changed=change.num_changed / change.num_samples,
             num_bright=change.num_bright,
             share_stuck=change.share_stuck,
+            share_textured=change.num_textured / change.num_samples,
+            share_stuck_texture=change.share_stuck_texture,
+            share_same_long=change.share_same_long,
             share_filled=change.share_filled,
             contrast=change.contrast,
             tile_shares=change.tiles,

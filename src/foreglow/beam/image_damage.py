@@ -5,8 +5,11 @@ Each constant says what of an image is damage, beside the recent images, and wha
 
 from __future__ import annotations
 
+import itertools
 import statistics
 from collections import deque
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +18,13 @@ from foreglow.beam.image_change import ImageChange
 from foreglow.beam.image_pieces import PieceMeasures
 from foreglow.beam.known_images import KnownParts
 
+Each = TypeVar("Each")
+
 NUM_RECENT = 18
 """Images that say what is usual; a second of them at the paper's rate."""
+
+NUM_OLDER = 2 * NUM_RECENT
+"""Where images have new noise, the first second of so many says what is usual: the latest may show what grows."""
 
 FRESH_SHARE = 0.4
 """Noise is new where more of the samples than this have changed. Measured: raw, MJPEG and 8 Mbit/s above .65 when
@@ -84,6 +92,17 @@ DAMAGE_HOLD_S = 0.5
 RELEARN_S = 10.0
 """What is unusual for longer than this is how the scene is; what is usual is learnt anew."""
 
+LONG_SAME_SHARE, KNOWN_AGAIN_SHARE, FILLED_SHARE, LONG_ROUGH_SHARE, NUM_NEVER = 0.1, 0.1, 0.1, 0.1, 3
+"""Damage, whatever was usual: in so many images in a row with new noise, more than these shares of the textured samples
+have not changed for long, or of the pieces of rows are known, or grey and of one value; or, with new noise or not, are
+rough. Measured in intact images with new noise: .014, .05, 0 and .02 at most."""
+
+NOISE_DEVIATION, NOISY_SHARE = 0.04, 0.2
+"""An image has new noise where of its samples, but for filled ones, the second share is textured, and of these the
+estimated share that does not change exceeds the share that has not changed for long by no more than the first number:
+then no part of the image changes less than others. So it is raw, in MJPEG and at 8 Mbit/s; an encoder that leaves out
+parts of the change, as of a bonnet, does so now here, now there."""
+
 
 class ImageDamage:
     """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts.
@@ -100,6 +119,7 @@ class ImageDamage:
         """Forgets the images so far."""
         self._forget()
         self._damaged_ns: int | None = None
+        self._num_never = 0
 
     def update(
         self,
@@ -122,10 +142,11 @@ class ImageDamage:
             is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
         """
         if change is None:
-            self._forget()
+            self._forget_changes()
         else:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
             is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
+            is_unusual |= self._is_never_so(change, pieces, known, is_still=is_still)
             if not is_still:
                 had_old_parts = self._had_old_parts
                 self._had_old_parts = self.has_old_parts(known)
@@ -144,26 +165,32 @@ class ImageDamage:
         return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
 
     def _forget(self) -> None:
+        """Forgets what is usual."""
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat: deque[float] = deque(maxlen=NUM_RECENT)
-        self._flat_pieces: deque[float] = deque(maxlen=NUM_RECENT)
+        self._flat_pieces: deque[float] = deque(maxlen=NUM_OLDER)
         self._flat_twice = _Twice()
-        self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
-        self._has_pairs = False
         self._rough: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
-        self._known_shares: deque[float] = deque(maxlen=NUM_RECENT)
+        self._known_shares: deque[float] = deque(maxlen=NUM_OLDER)
         self._single_share = 0.0
         self._had_old_parts = False
+        self._forget_changes()
+
+    def _forget_changes(self) -> None:
+        """Forgets what is usual between two images, which is another at another size."""
+        self._pair_ratios: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
+        self._has_pairs = False
         self._is_stuck = False
-        self._changes: deque[ImageChange] = deque(maxlen=NUM_RECENT + 1)
+        self._changes: deque[ImageChange] = deque(maxlen=NUM_OLDER + 1)
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
         self._usual_ns = None
 
     def has_old_parts(self, known: KnownParts) -> bool:
         """Whether parts of the image, but not all of it, were there before, although every image had new noise."""
-        is_noisy = len(self._known_shares) == NUM_RECENT and max(self._known_shares) <= NOISY_KNOWN_SHARE
+        older = _older(self._known_shares)
+        is_noisy = len(older) == NUM_RECENT and max(older) <= NOISY_KNOWN_SHARE
         return is_noisy and not known.is_repeated and known.share > KNOWN_SHARE
 
     def _has_unusual_content(
@@ -176,7 +203,8 @@ class ImageDamage:
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
             is_unusual |= pieces.share_rough > max(self._rough) + ROUGH_SHARE
-        is_noisy = len(self._flat_pieces) == NUM_RECENT and max(self._flat_pieces) <= NOISY_FLAT_SHARE
+        older = _older(self._flat_pieces)
+        is_noisy = len(older) == NUM_RECENT and max(older) <= NOISY_FLAT_SHARE
         has_flat = is_noisy and change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
         is_unusual |= self._flat_twice.update(has_flat, timestamp_ns)
         had_pairs, self._has_pairs = self._has_pairs, False
@@ -184,6 +212,22 @@ class ImageDamage:
             are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
             self._has_pairs = bool(are_fallen.all(axis=0).any())
         return is_unusual or (had_pairs and self._has_pairs)
+
+    def _is_never_so(self, change: ImageChange, pieces: PieceMeasures, known: KnownParts, *, is_still: bool) -> bool:
+        """Whether several images in a row are as no camera's are, whatever was usual; still ones do not count."""
+        if is_still:
+            return self._num_never >= NUM_NEVER
+        deviation = change.share_stuck_texture - change.share_same_long
+        is_textured = change.share_textured > NOISY_SHARE * (1.0 - pieces.share_filled)
+        has_new_noise = is_textured and deviation < NOISE_DEVIATION
+        is_so = has_new_noise and (
+            change.share_same_long > LONG_SAME_SHARE
+            or known.share > KNOWN_AGAIN_SHARE
+            or pieces.share_filled > FILLED_SHARE
+        )
+        is_so |= pieces.share_rough > LONG_ROUGH_SHARE
+        self._num_never = self._num_never + 1 if is_so else 0
+        return self._num_never >= NUM_NEVER
 
     def _has_stuck_tiles(self, change: ImageChange) -> bool:
         """Whether parts are as before, in the second image in a row of those not still."""
@@ -194,7 +238,7 @@ class ImageDamage:
 
     def _has_stuck_samples(self, change: ImageChange) -> bool:
         """Whether parts of whatever form are as before, twice in a row, or of one value, in the light there was."""
-        usual = list(self._changes)[:-1]  # the image before may be the first that is stuck
+        usual = _older(list(self._changes)[:-1])  # the image before may be the first that is stuck
         if len(usual) < NUM_RECENT or change.num_bright < MIN_BRIGHT:
             return False
         stuck = max(each.share_stuck for each in usual)
@@ -257,3 +301,8 @@ def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDAr
 
 def _has_risen(share: float, recent: deque[float], by: float) -> bool:
     return len(recent) >= 2 and share > statistics.median(recent) + by
+
+
+def _older(recent: Sequence[Each]) -> list[Each]:
+    """The images of a second that say what is usual: of two seconds the first, of less all up to a second."""
+    return list(itertools.islice(recent, NUM_RECENT))

@@ -40,6 +40,12 @@ NUM_ROUGH_PIECES, ROUGH_STEP = 8, 0.04
 """A piece of a row, one of so many, is rough where neighbouring pixels differ by more than this share of the greatest
 value in the mean; Gaussian noise does so from 9 grey levels on."""
 
+DARK = 0.1
+"""Up to this share of the greatest value there may be no noise."""
+
+NEAR_TOP = 0.9
+"""A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
+
 TWICE_CONTRAST = 0.1
 """A row counts as shown twice from this difference of its pixels on, in shares of the greatest value: below, the colour
 filters of a sensor may make a pattern without noise."""
@@ -54,6 +60,7 @@ class PieceMeasures:
         noise: Standard deviation of the noise of a piece's mean, by how much neighbouring pieces differ in the median.
         is_noise: Whether noise alone has changed since the image before.
         share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
+        share_filled: Share of these pieces of which all pixels have one value, neither dark nor white.
         share_twice: Share of the rows whose right half is the left one, pixel by pixel.
     """
 
@@ -61,6 +68,7 @@ class PieceMeasures:
     noise: float
     is_noise: bool
     share_rough: float
+    share_filled: float
     share_twice: float
 
 
@@ -96,11 +104,13 @@ class ImagePieces:
                 changes[middle] > max(LEAST_NOISE, DRIFT_RATIO * drift)
                 and changes[strong] < NOISE_RATIO * changes[middle]
             )
+        share_rough, share_filled = _shares_of_steps(rows, top)
         return PieceMeasures(
             contrast=float(means.max() - means.min()),
             noise=_noise(means),
             is_noise=is_noise,
-            share_rough=_share_rough(rows, top),
+            share_rough=share_rough,
+            share_filled=share_filled,
             share_twice=_share_twice(rows, top),
         )
 
@@ -114,15 +124,18 @@ def _noise(means: Floats) -> float:
     return float(steps[middle]) / MEDIAN_STEP
 
 
-def _share_rough(rows: Image, top: int) -> float:
+def _shares_of_steps(rows: Image, top: int) -> tuple[float, float]:
+    """Shares of the pieces whose neighbouring pixels differ by far too much, and not at all where they are grey."""
     piece_px = rows.shape[1] // NUM_ROUGH_PIECES
     if piece_px < 2:
-        return 0.0
+        return 0.0, 0.0
     pieces = rows[:, : NUM_ROUGH_PIECES * piece_px].reshape(len(rows), NUM_ROUGH_PIECES, piece_px)
     left, right = pieces[:, :, :-1], pieces[:, :, 1:]
     steps = np.maximum(left, right) - np.minimum(left, right)
-    is_rough = steps.sum(axis=2, dtype=np.uint32) > ROUGH_STEP * top * (piece_px - 1)
-    return int(np.count_nonzero(is_rough)) / (len(rows) * NUM_ROUGH_PIECES)
+    sums, values = steps.sum(axis=2, dtype=np.uint32), pieces[:, :, 0]
+    is_filled = (sums == 0) & (values > DARK * top) & (values < NEAR_TOP * top)
+    num_rough = int(np.count_nonzero(sums > ROUGH_STEP * top * (piece_px - 1)))
+    return num_rough / sums.size, int(np.count_nonzero(is_filled)) / sums.size
 
 
 def _share_twice(rows: Image, top: int) -> float:
