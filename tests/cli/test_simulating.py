@@ -156,6 +156,16 @@ def test_a_preview_leaves_a_film_that_is_not_of_one(names: tuple[str, ...], tmp_
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"] * len(names)
 
 
+@pytest.mark.parametrize("text", ["mine", "name = 'mine'\n"])
+def test_a_preview_leaves_files_of_something_else_that_have_all_its_names(text: str, tmp_path: Path) -> None:
+    names = ("contact_sheet.png", "drive.mp4", "preview.toml")
+    for name in names:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=r"preview\.toml: expected the scene of an earlier preview, or nothing"):
+        preview((), Scene(), tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == [text] * len(names)
+
+
 def test_a_drive_that_leaves_the_map_is_told_before_anything_is_made(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text("[road]\nlength_m = 400.0\n[ego]\ntimetable = [[0.0, 20.0], [10.0, 2200.0]]\n")
