@@ -11,7 +11,7 @@ import av
 import numpy as np
 import pytest
 
-from foreglow.datasets import Video
+from foreglow.datasets import Video, matroska
 from foreglow.datasets.matroska import first_damage
 
 NUM_FRAMES = 60
@@ -107,3 +107,11 @@ def test_a_size_beyond_the_end_of_a_stream_is_damage(tmp_path: Path) -> None:
     start = block(path, 20)
     overwrite(path, start - 2, b"\x10\xff")
     assert first_damage(path) is not None
+
+
+def test_no_more_elements_are_looked_at_than_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = make(tmp_path / "clip.mkv")
+    overwrite(path, block(path, 20), b"\x85")
+    assert first_damage(path) is not None
+    monkeypatch.setattr(matroska, "MAX_ELEMENTS", 15)
+    assert first_damage(path) is None

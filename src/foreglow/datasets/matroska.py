@@ -29,7 +29,7 @@ _IN_CLUSTER = _ANYWHERE | {0xE7, 0x5854, 0xA7, 0xAB, _SIMPLE_BLOCK, _BLOCK_GROUP
 _IN_GROUP = _ANYWHERE | {_BLOCK, 0xA2, 0x75A1, 0x9B, 0xFA, 0xFB, 0xFD, 0xA4, 0x75A2, 0x8E, 0xC8}
 _PIECE = 1 << 20  # bytes
 
-_MAX_ELEMENTS = 4_000_000
+MAX_ELEMENTS = 4_000_000
 """Of a file with more elements, which is two days of 25 frames a second, the rest is not checked."""
 
 
@@ -93,7 +93,7 @@ class _Elements:
         self._num_seen = 0
 
     def check_segment(self, position: int, end: int) -> None:
-        while position < end and self._num_seen < _MAX_ELEMENTS:
+        while position < end and self._num_seen < MAX_ELEMENTS:
             name, start, stop = self._element(position, end, _IN_SEGMENT)
             if name == _EBML:  # another file was appended to one whose length is unknown
                 return
@@ -106,7 +106,7 @@ class _Elements:
 
     def _check_cluster(self, position: int, end: int, *, is_open: bool) -> int:
         """Where the cluster ends; one of unknown length (`is_open`) ends before an element that only a segment has."""
-        while position < end and self._num_seen < _MAX_ELEMENTS:
+        while position < end and self._num_seen < MAX_ELEMENTS:
             name, start, stop = self._element(position, end, _IN_CLUSTER | _ONLY_IN_SEGMENT if is_open else _IN_CLUSTER)
             if name in _ONLY_IN_SEGMENT:
                 break
@@ -134,7 +134,7 @@ class _Elements:
                         self._tracks.add(int.from_bytes(self._file.read(min(behind - begin, 8)), "big"))
 
     def _children(self, position: int, end: int, known: frozenset[int] | None = None) -> Iterator[tuple[int, int, int]]:
-        while position < end and self._num_seen < _MAX_ELEMENTS:
+        while position < end and self._num_seen < MAX_ELEMENTS:
             name, start, stop = self._element(position, end, known)
             stop = self._known(position, stop)
             yield name, start, stop
