@@ -98,6 +98,10 @@ def test_empty_file_is_the_base() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        (
+            "[tracker]\nrate_hz = 1e-9",
+            "config.toml: tracker.rate_hz: Input should be greater than or equal to 0.1, got 1e-09",
+        ),
         ("[proposals]\nkappa = 11", "config.toml: proposals.kappa: Input should be less than or equal to 10, got 11"),
         ("[proposals]\nkappa = nan", "proposals.kappa: .*got nan"),
         ("[proposals]\nmax_area_px = nan", "proposals.max_area_px: .*got nan"),

@@ -21,7 +21,7 @@ from foreglow.datasets import PVDN, shipped_drive
 from foreglow.distance import RangeEstimator, make_estimator
 from foreglow.photometry import NUM_LEDS
 from foreglow.pipeline import MAX_TRACKS, Pipeline
-from foreglow.plugins import find
+from foreglow.plugins import find, make
 from foreglow.runtime.live import LiveFault, Paced
 from foreglow.tracking import Tracker, make_tracker
 from foreglow.types import BeamCommand, BeamMode, Detections, Frame, Ranges, Tracks
@@ -97,6 +97,16 @@ def test_a_module_in_the_working_directory(folder: Path) -> None:
     write_module(folder, "my_own_trackers", "class Mine:\n    class Inner: pass\n")
     assert find("tracker.method", "my_own_trackers:Mine", {}, GROUP).__name__ == "Mine"
     assert find("tracker.method", "my_own_trackers:Mine.Inner", {}, GROUP).__name__ == "Inner"
+
+
+def test_a_plug_in_that_goes_to_another_folder_takes_nobody_with_it(folder: Path) -> None:
+    """When it is imported or made: a relative --out was elsewhere then."""
+    away = "import os, tempfile\nos.chdir(tempfile.gettempdir())\n"
+    write_module(folder, "my_leaving_trackers", f"{away}class Mine:\n    def __init__(self): os.chdir('/')\n")
+    assert find("tracker.method", "my_leaving_trackers:Mine", {}, GROUP).__name__ == "Mine"
+    assert Path.cwd() == folder
+    make("tracker.method", "my_leaving_trackers:Mine", {}, GROUP, methods={})
+    assert Path.cwd() == folder
 
 
 def test_an_installed_packages_entry_point(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -264,6 +264,11 @@ def test_a_command_refuses_unfit_fields(field: str, value: Any, complaint: str) 
         command(**{field: value})
 
 
+def test_only_a_glare_free_beam_has_gaps() -> None:
+    with pytest.raises(ValueError, match=r"^BeamCommand\.gaps_rad: expected none with full beam, got 2$"):
+        command(mode=BeamMode.FULL, levels=np.ones((2, 3)))
+
+
 def test_a_frame_refuses_the_calibration_of_another_size() -> None:
     camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
     assert Frame(np.zeros((4, 8), np.uint8), 0, camera=camera).camera is camera

@@ -84,7 +84,8 @@ def make(
     if name in table:
         return entry(*arguments)
     try:
-        made = entry(*arguments)
+        with contextlib.chdir(Path.cwd()):  # wherever it goes, relative outputs stay where they are
+            made = entry(*arguments)
     except TypeError as error:
         kinds = ", ".join(type(argument).__name__ for argument in arguments)
         raise ValueError(f"{field}: {name} cannot be made of {kinds}: {words_of(error)}") from error
@@ -145,7 +146,8 @@ def imported(field: str, target: str) -> Any:
     if not target.startswith("foreglow.") and module != "builtins":  # our own cameras are named by texts, too
         _modules.add(module)
     try:
-        found = pkgutil.resolve_name(target)
+        with contextlib.chdir(Path.cwd()):
+            found = pkgutil.resolve_name(target)
     except (Exception, SystemExit) as error:  # whatever a foreign module raises
         raise ValueError(f"{field}: {target} cannot be imported: {type(error).__name__}: {words_of(error)}") from error
     if not callable(found):

@@ -25,7 +25,8 @@ def commands(draw: st.DrawFn) -> BeamCommand:
         return BeamCommand.low(timestamp_ns, NUM_LEDS, *faults)
     few = draw(st.lists(levels, min_size=1, max_size=12))
     shuffled = np.random.default_rng(draw(st.integers(0, 2**16))).choice(few, (2, NUM_LEDS))
-    borders = sorted(draw(st.lists(azimuths_rad, max_size=14, unique=True)))
+    max_borders = 14 if mode == BeamMode.GLARE_FREE else 0
+    borders = sorted(draw(st.lists(azimuths_rad, max_size=max_borders, unique=True)))
     gaps = np.array(borders[: len(borders) // 2 * 2], np.float64).reshape(-1, 2)
     told_m = draw(st.lists(ranges_m, min_size=len(gaps), max_size=len(gaps)))
     return BeamCommand(timestamp_ns, mode, shuffled, gaps, np.array(told_m, np.float64), faults)

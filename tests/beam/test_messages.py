@@ -216,6 +216,7 @@ def test_content_that_no_command_has() -> None:
     assert fault_of(resealed(parts[0], b3=0)) == LinkFault.CONTENT  # light with low beam
     assert fault_of(resealed(gaps, b3=3)) == LinkFault.CONTENT
     assert fault_of(resealed(gaps, b3=2 << 3)) == LinkFault.CONTENT  # gaps with low beam
+    assert fault_of(resealed(gaps, b3=2 | 2 << 3)) == LinkFault.CONTENT  # gaps with full beam
     assert fault_of(resealed(gaps, b3=1 | 5 << 3)) == LinkFault.CONTENT  # five of them
     word = int.from_bytes(gaps.data[8:12], "little")
     for bad in (word | 0x3FF, word & ~0xFFC00, (word & ~0x1FF00000) | 510 << 20, word | 0xFFC00):

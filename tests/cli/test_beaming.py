@@ -149,6 +149,14 @@ def test_a_run_whose_frames_are_no_longer_all_there(
     assert "frames.jsonl: expected the 12 frames of summary.json, got 5" in said
 
 
+def test_what_the_tracks_of_a_run_were_made_with_cannot_be_changed(tmp_path: Path, run: Path) -> None:
+    (tmp_path / "own.toml").write_text("[classifier]\nscore_threshold = 0.2\n")
+    said = complaint("beam", run, "--out", tmp_path / "out", "--config", tmp_path / "own.toml")
+    assert "own.toml: classifier: expected that of" in said
+    assert not (tmp_path / "out").exists()
+    beam(run, "--out", tmp_path / "out", "--config", run / "config.toml")
+
+
 @pytest.mark.parametrize(("policy", "level"), [("low", 0), ("high", 1000)])
 def test_plain_beams(tmp_path: Path, run: Path, policy: str, level: int) -> None:
     (tmp_path / "own.toml").write_text("[beam]\npolicy = 'paper'\n[guard]\nled_limits_cd = [[0.0, 1e9]]\n")

@@ -63,6 +63,7 @@ def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--quality", "best"), "quality: expected one of fast, training, fine, got 'best'"),
         (("--size", "9x9"), "width_px"),
         (("--size", "large"), "size: expected WIDTHxHEIGHT"),
+        (("--pairs", "5"), "--pairs: expected below two frames of --fps, 0.111111 s, got 5"),
         (("--cycle", "dawn"), "cycle: expected one of"),
         (("--ego-beam", "none"), "--ego-beam: expected one of"),
         (("--split", "dev"), "split: expected one of"),
@@ -153,6 +154,16 @@ def test_a_preview_leaves_a_film_that_is_not_of_one(names: tuple[str, ...], tmp_
     with pytest.raises(ValueError, match=f"{names[0]}: expected nothing there but earlier results of this command"):
         preview((), Scene(), tmp_path)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"] * len(names)
+
+
+@pytest.mark.parametrize("text", ["mine", "name = 'mine'\n"])
+def test_a_preview_leaves_files_of_something_else_that_have_all_its_names(text: str, tmp_path: Path) -> None:
+    names = ("contact_sheet.png", "drive.mp4", "preview.toml")
+    for name in names:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=r"preview\.toml: expected the scene of an earlier preview, or nothing"):
+        preview((), Scene(), tmp_path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == [text] * len(names)
 
 
 def test_a_drive_that_leaves_the_map_is_told_before_anything_is_made(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import builtins
 import csv
 import json
 import math
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -200,6 +201,14 @@ def test_a_data_set_without_validation(tmp_path: Path, options: list[object]) ->
     (data / "day" / "val").rename(data / "day" / "else")
     line = complaint("train", data, *options[2:], "--out", tmp_path / "run")
     assert "expected the split val in it" in line
+
+
+def test_data_without_a_light_are_named(tmp_path: Path, options: list[object]) -> None:
+    data = make_drives(tmp_path / "own", num_images=1)
+    for path in (data / "day/train/labels/keypoints").iterdir():
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"annotations": []}))
+    line = complaint("train", data, *options[2:], "--out", tmp_path / "run")
+    assert re.search(rf"{data}/day/train: expected light artifacts among \d+ boxes, found none", line)
 
 
 @pytest.mark.parametrize("missing", ["torch", "onnx"])

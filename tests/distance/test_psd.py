@@ -53,10 +53,23 @@ def test_psd_3d_is_the_least_distance_of_ray_and_line(yaw: float, pitch: float) 
     squared = (fine**2).sum(1) - along**2
     best = int(squared.argmin())
     if np.isnan(found):
-        assert along[best] == 0.0 or best in (0, len(arc_lengths) - 1)
+        assert along[best] < 1.0 or best in (0, len(arc_lengths) - 1)
     else:
         gap = np.linalg.norm(fine - found * direction, axis=1).min()
         assert gap <= math.sqrt(squared[best]) + 1e-4
+
+
+@pytest.mark.parametrize("name", IN_SPACE)
+def test_a_ray_that_runs_away_from_the_road_has_no_range(name: str) -> None:
+    """It rises as steeply as it comes nearer to a line on the left, but for what makes its least distance 0.2 m away.
+
+    Per metre forward the gap to the line is (2 - x / 4, 1 + y x) m, whose square is least at x = (2 / 4 - y) / (1 / 16
+    + y^2): with y = .47 at x = 0.106, with y = .1 at x = 5.5.
+    """
+    for rise, expected in ((0.47, math.nan), (0.1, 0.4 / (1 / 16 + 0.01))):
+        axis = np.array([1.0, 0.25, rise])
+        seen = frame(aimed(np.array([0.0, 0.0, 1.0]) + 20.0 * axis, 1.0), straight_road(2.0))
+        assert range_m(name, seen) == pytest.approx(expected * float(np.linalg.norm(axis)), nan_ok=True)
 
 
 def test_psd_3d_by_hand() -> None:

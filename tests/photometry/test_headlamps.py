@@ -193,6 +193,12 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("", GRID.replace("[0.0, 2.0]", "[2.0, 0.0]"), "grid.row_elevations_deg: expected growing"),
         ("", GRID.replace("[20000.0, 10000.0]", "[1.0]"), "grid.row_peaks_cd: expected one for each of 2 rows, got 1"),
         ("", GRID.replace("edge_exponent = 2.5", ""), "grid.edge_exponent: missing"),
+        ("", GRID.replace("pitch_deg = 3", "pitch_deg = 80"), "grid: num_columns: expected columns within 90 degrees"),
+        (
+            "turn_deg = -89.0",
+            GRID,
+            "grid: num_columns: expected columns within 90 degrees of the axis, .* got one at -9",
+        ),
         ("", GRID.replace("5.0", "1.0"), "grid.reach_width_deg: expected at least half_width_deg, 1.8, got 1"),
     ],
 )

@@ -133,5 +133,7 @@ def test_files_are_opened_by_their_suffix(tmp_path: Path) -> None:
     assert towards(read_lamp_file(tmp_path / "lamp.LDT"), 1, 0, 0) == pytest.approx(5, abs=0.05)
     (tmp_path / "lamp.ies").write_text("TILT=NONE\n1 -1 1 2 2 3 2 0 0 0\n1 1 0\n-5 5\n-5 5\n8 8 8 8\n")
     assert towards(read_lamp_file(tmp_path / "lamp.ies"), 1, 0, 0) == pytest.approx(8)
+    assert towards(read_lamp_file(str(tmp_path / "lamp.ies")), 1, 0, 0) == pytest.approx(8)
+    assert towards(read_ldt(str(tmp_path / "lamp.LDT")), 1, 0, 0) == pytest.approx(5, abs=0.05)
     with pytest.raises(ValueError, match=r"lamp.txt: expected a file whose name ends in .ies or .ldt"):
         read_lamp_file(tmp_path / "lamp.txt")

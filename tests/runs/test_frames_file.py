@@ -291,7 +291,7 @@ def results(draw: st.DrawFn) -> FrameResult:
     )
     gaps_rad = np.radians([[-3.0, -1.25], [0.5, 2.0]])[: draw(st.integers(0, 2))]
     levels = column(unit, size=6).reshape(2, 3)
-    mode = draw(st.sampled_from([BeamMode.GLARE_FREE, BeamMode.FULL]))
+    mode = BeamMode.GLARE_FREE if len(gaps_rad) else draw(st.sampled_from([BeamMode.GLARE_FREE, BeamMode.FULL]))
     beam = BeamCommand(
         made.timestamp_ns, mode, levels, gaps_rad, column(metres, size=len(gaps_rad)), ("a",) * draw(st.integers(0, 1))
     )

@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from foreglow.runs.folder import OutputFolder
-from foreglow.runs.frames_file import frame_to_line
+from foreglow.runs.frames_file import frame_to_line, read_gaps, read_results, read_tracks
 from foreglow.runs.origin import origin_digest
+from foreglow.runs.predictions import read_predictions
 from foreglow.runs.recorded_run import doubt_about_source, read_run, source_of_run
 from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
@@ -196,3 +198,23 @@ def test_a_table_never_lies_over_what_the_run_was_made_from(tmp_path: Path) -> N
         with pytest.raises(ValueError, match=r"notes\.txt: expected a file whose name ends with"):
             write(tmp_path / "notes.txt")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "read_run": lambda path: read_run(path.parent),
+    "read_results": lambda path: read_results(path, 0.5),
+    "read_predictions": read_predictions,
+    "read_tracks": read_tracks,
+    "read_gaps": read_gaps,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_an_edited_threshold_is_told_whatever_reads_the_run(tmp_path: Path, name: str) -> None:
+    folder = write_run(tmp_path / "run", [made_up(1), made_up(2)])
+    READERS[name](folder / "frames.jsonl")
+    config = folder / "config.toml"
+    config.write_text(config.read_text().replace("score_threshold = 0.5", "score_threshold = 0.2"))
+    expected = r"frames\.jsonl: line 1: detections_xyxy_px: expected the 2 boxes with scores above 0\.2, .*, got 1"
+    with pytest.raises(ValueError, match=expected):
+        READERS[name](folder / "frames.jsonl")

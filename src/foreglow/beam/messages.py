@@ -301,8 +301,8 @@ def decode_gaps(frame_id: int, data: bytes) -> GapsMessage:
         raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected that of gaps, 0x{GAPS_ID:X}")
     content = _checked(frame_id, data, _GAPS_SIZE)
     header, num_gaps = _header(frame_id, content)
-    if num_gaps > (0 if header.mode == BeamMode.LOW else MAX_NUM_GAPS):
-        raise MessageError(LinkFault.CONTENT, f"gaps: expected at most 4, and none with low beam, got {num_gaps}")
+    if num_gaps > (MAX_NUM_GAPS if header.mode == BeamMode.GLARE_FREE else 0):
+        raise MessageError(LinkFault.CONTENT, f"gaps: expected at most 4, and none but glare-free, got {num_gaps}")
     ramp, *words = _GAPS.unpack(content[_HEADER.size :])
     codes = [(word & 0x3FF, word >> 10 & 0x3FF, word >> 20 & 0x1FF) for word in words[:num_gaps]]
     borders = [border for right, left, _ in codes for border in (right, left)]

@@ -96,7 +96,14 @@ def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig
     configuration = read_config(run / "config.toml")
     if configuration.classifier.model is None or configuration.tracker.method == "none":
         raise ValueError(f"{run}: expected the folder of a run with tracks: it had no model or no tracker")
-    return configuration if options.config is None else read_config(options.config, configuration)
+    if options.config is None:
+        return configuration
+    changed = read_config(options.config, configuration)
+    for section in ("proposals", "classifier", "distance", "tracker", "standing"):
+        if getattr(changed, section) != getattr(configuration, section):
+            words = f"expected that of {run}, or none: its tracks are taken as they are"
+            raise ValueError(f"{options.config}: {section}: {words}")
+    return changed
 
 
 def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:

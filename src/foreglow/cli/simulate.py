@@ -163,6 +163,8 @@ def _adapted(
     """The scenes with the image size, frame rate and exposure asked for."""
     from foreglow.lab.simulation import adapted
 
+    if pair_s is not None and pair_s >= 2.0 / fps:
+        raise ValueError(f"--pairs: expected below two frames of --fps, {2.0 / fps:g} s, got {pair_s:g}")
     size_px = size_from(size)
     return tuple(adapted(scene, size_px, fps, cycle, pair_s) for scene in scenes)
 

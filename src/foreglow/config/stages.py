@@ -231,7 +231,7 @@ class TrackerConfig(FrozenModel):
 
     method: str = "alpha_beta"
     clock: Literal["frames", "time"] = "frames"
-    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
+    rate_hz: Annotated[float, Field(ge=0.1, le=1000)] = 18.0
     min_score: Annotated[float, Field(ge=0, le=1)] = 0.1
     alpha_centre: Annotated[float, Field(gt=0, le=1)] = 0.5
     alpha_size: Annotated[float, Field(gt=0, le=1)] = 0.3
@@ -312,7 +312,7 @@ class LiveConfig(FrozenModel):
         retry_s: Pause between attempts to open a lost source, or to make a pipeline.
     """
 
-    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
+    rate_hz: Annotated[float, Field(ge=0.1, le=1000)] = 18.0
     silent_frames: Annotated[float, Field(gt=1, le=100)] = 2.5
     slow_frames: Annotated[float, Field(gt=1, le=100)] = 1.6
     num_steady: Annotated[int, Field(ge=1, le=1000)] = 5

@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from foreglow.datasets import matroska
 from foreglow.datasets.decoding import (
     CODEC_OPTIONS,
     FILM_FORMATS,
@@ -34,7 +35,6 @@ _FEW_FRAMES = 4
 _LAST_PACKETS = 2
 """So many of a transport stream's video may come at the end of the file only, after another stream began."""
 
-_MATROSKA_SEGMENT = 0x18538067
 _MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
 RAW_STREAMS = frozenset({"h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu", "av1"})
@@ -60,8 +60,9 @@ class Video(FileSource):
     stream's own presentation times; a frame without one follows the frame before at the stream's rate, and so does each
     of a raw stream (`RAW_STREAMS`), at the rate that it says itself, else at 25 Hz. Where times begin anew, as in files
     that were appended to each other, so does a sequence, which is named after its first frame.
-    A cut file is an error, and so are a Matroska file that ends before its stated time, and frames that are `damaged`
-    (see `decoding`): with `skip` they are left out, with `mark` they are marked.
+    A cut file is an error, and so is a Matroska file that ends before its stated time or may lack frames
+    (see `matroska`), so that those behind have too small numbers. So are frames that are `damaged` (see `decoding`):
+    with `skip` they are left out, with `mark` they are marked.
 
     Attributes:
         path: The file.
@@ -76,7 +77,7 @@ class Video(FileSource):
         Raises:
             FileNotFoundError: If there is no such file.
             ValueError: If it is empty, not a video, has no video stream or a size that is not accepted; with `stop`
-                also if the file is shorter than its container says.
+                also if the file is shorter than its container says, or frames may be missing.
         """
         super().__init__(path, on_error)
         self.path = Path(path)
@@ -98,6 +99,7 @@ class Video(FileSource):
             # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
             self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
+            self._hole = _hole(self.path) if "matroska" in container.format.name and not missing else ""
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
         self.note = ""
@@ -107,8 +109,8 @@ class Video(FileSource):
                 f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
                 "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
             )
-        if self._truncation and on_error == "stop":
-            raise ValueError(self._truncation)
+        if (self._truncation or self._hole) and on_error == "stop":
+            raise ValueError(self._truncation or self._hole)
 
     @property
     def name(self) -> str:
@@ -116,7 +118,8 @@ class Video(FileSource):
         return self.path.name
 
     def __iter__(self) -> Iterator[Frame]:
-        self.skipped = [self._truncation] if self._truncation else []
+        self.lost_parts = [self._hole] if self._hole else []
+        self.skipped = [self._truncation] if self._truncation else [*self.lost_parts]
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
@@ -235,6 +238,17 @@ class _Whole:
             raise InvalidDataError(errno.EINVAL, "another video stream begins where this one ends")
 
 
+def _hole(path: Path) -> str:
+    """A line about the first damage of a Matroska file, behind which its demultiplexer silently goes on; else empty."""
+    position = matroska.first_damage(path)
+    if position is None:
+        return ""
+    return (
+        f"{path}: byte {position}: expected an element of a Matroska file, found damage; frames may be missing from "
+        "there on, and those behind have too small numbers"
+    )
+
+
 def _stated_end_ns(container: Any) -> int:
     """When a Matroska file ends that holds nothing but a video, by its header; 0 if unknown."""
     is_stated = "matroska" in container.format.name and len(container.streams) == 1
@@ -262,8 +276,8 @@ def _missing_bytes(path: Path) -> int:
             return max(0, _mp4_end(file, size) - size)
         if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
             return max(0, 8 + int.from_bytes(head[4:8], "little") - size)
-        if head[:4] == b"\x1a\x45\xdf\xa3":
-            return max(0, _matroska_end(file, size) - size)
+        if head.startswith(matroska.MAGIC):
+            return max(0, matroska.matroska_end(path) - size)
     return 0
 
 
@@ -284,24 +298,3 @@ def _mp4_end(file: BinaryIO, size: int) -> int:
             break
         position += length
     return position
-
-
-def _matroska_end(file: BinaryIO, size: int) -> int:
-    """End of the segment, or `size` if its length is unknown. Source: RFC 8794, sections 4 to 6."""
-    file.seek(4)
-    length, _ = _vint(file)
-    file.seek(length, 1)
-    if int.from_bytes(file.read(4), "big") != _MATROSKA_SEGMENT:
-        return size
-    length, is_unknown = _vint(file)
-    return size if is_unknown else file.tell() + length
-
-
-def _vint(file: BinaryIO) -> tuple[int, bool]:
-    """An EBML variable-size integer, and whether it means `unknown` (all bits set)."""
-    first = file.read(1)
-    if not first or first[0] == 0:
-        return 0, True
-    num_more = 8 - first[0].bit_length()
-    value = (first[0] & (0xFF >> (num_more + 1))) << (8 * num_more) | int.from_bytes(file.read(num_more), "big")
-    return value, value == (1 << (7 * (num_more + 1))) - 1

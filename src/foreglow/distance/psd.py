@@ -47,6 +47,9 @@ and in a coarse line it may lie elsewhere."""
 MIN_SQUARED_SINE = 1e-12
 """A ray at less than a millionth of a radian to the road runs along it: no point of it is the closest."""
 
+MIN_REACH_M = 1.0
+"""A ray in space that is closest to the road nearer than this only departs from it: there is still our bonnet."""
+
 _BESIDE = np.array([-1, 0])
 """The pieces that end and begin at a point, relative to its index."""
 
@@ -55,8 +58,8 @@ class PSD3D(PixelwiseEstimator):
     """Ranges to where the ray comes closest to the road's centre line.
 
     The range is that of the point on the ray, not of the road point: like all ranges, it is measured along the ray.
-    There is none without a road, where the ray only departs from the road, as above the horizon, or where the closest
-    point is the map's end.
+    There is none without a road, where the ray only departs from the road, as above the horizon, so that the closest
+    point is less than `MIN_REACH_M` away, or where that is the map's end.
     """
 
     def pixel_ranges(self, frame: Frame, rays: Rays) -> tuple[Floats, Floats]:
@@ -66,6 +69,7 @@ class PSD3D(PixelwiseEstimator):
         offsets_m = dense(self._road_points(frame)) - rays.origin_m
         nearest = nearest_points(rays.directions @ offsets_m.T, offsets_m)
         ranges_m, sines = closest_approach(rays.directions, offsets_m, nearest)
+        ranges_m[ranges_m < MIN_REACH_M] = np.nan
         mount = calibrated(frame).mount_sigmas
         angle_sigma_rad = math.hypot(rays.pitch_sigma_rad, MAP_SIGMA_RAD, mount.yaw_rad)
         offset_sigma_m = math.hypot(OFFSET_SIGMA_M, mount.height_m)

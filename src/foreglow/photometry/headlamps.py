@@ -239,7 +239,7 @@ class HeadlampsDescription(FrozenModel):
     grid: LedGrid | None = None
 
 
-def read_headlamps(path: Path | None = None) -> Headlamps:
+def read_headlamps(path: Path | str | None = None) -> Headlamps:
     """The headlamps in the TOML file `path`; without a path the built-in ones, which are the simulated car's.
 
     Raises:
@@ -247,16 +247,17 @@ def read_headlamps(path: Path | None = None) -> Headlamps:
         ValueError: If it is not TOML, a field is unknown, missing or out of range, the lamps do not match, or a file
             that it names is broken; the message names path, field and what was expected.
     """
-    return _shipped() if path is None else _read(path)
+    return _shipped() if path is None else _read(Path(path))
 
 
-def read_lamp_file(path: Path) -> IntensityTable:
+def read_lamp_file(path: Path | str) -> IntensityTable:
     """The lamp in the IES (LM-63) or EULUMDAT file `path`, by its suffix, in the lamp's frame.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If the suffix is neither `.ies` nor `.ldt`, or the file is broken; the message names the path.
     """
+    path = Path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a file whose name ends in {' or '.join(READERS)}")

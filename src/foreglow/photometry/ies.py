@@ -26,7 +26,7 @@ REACHES_DEG: dict[Type, tuple[tuple[float, float], tuple[float, float]]] = {
 """Least and largest vertical and horizontal angle of each type: light at others would be at no direction."""
 
 
-def read_ies(path: Path) -> IntensityTable:
+def read_ies(path: Path | str) -> IntensityTable:
     """The lamp in the IES file `path`, in the lamp's frame: x along its axis, y left, z up.
 
     * Type A (headlamps): vertical angles are elevations, horizontal ones azimuths, positive to the right as the lamp
@@ -48,6 +48,7 @@ def read_ies(path: Path) -> IntensityTable:
 
     Source: ANSI/IES LM-63-2019 and its older editions, after public descriptions of the format.
     """
+    path = Path(path)
     lines = read_lamp_text(path).splitlines()
     fields = NumberFields(path, _words(path, lines))
     multiplier = fields.take(3, "number of lamps, lumens, multiplier")[2]

@@ -31,7 +31,7 @@ SPANS_DEG = {1: (0.0, 0.0), 2: (0.0, 180.0), 3: (270.0, 450.0), 4: (0.0, 90.0)}
 """First and last half-plane in the file, by symmetry Isym; without symmetry all of them are there."""
 
 
-def read_ldt(path: Path) -> IntensityTable:
+def read_ldt(path: Path | str) -> IntensityTable:
     """The lamp in the EULUMDAT file `path`, in the lamp's frame: x along its axis, y left, z up.
 
     The axis x is gamma 0; the half-plane C 0 lies towards z, C 90 towards y, as in IES files of type C: nose down
@@ -48,6 +48,7 @@ def read_ldt(path: Path) -> IntensityTable:
 
     Source: Stockmar, EULUMDAT, 1990 and 1998, after public descriptions of the format.
     """
+    path = Path(path)
     lines = read_lamp_text(path).split("\n")
     fields = NumberFields(path, [(number, line.strip()) for number, line in enumerate(lines, 1)])
     fields.seek(SYMMETRY_LINE - 1)

@@ -21,6 +21,9 @@ NUM_LEDS = 84
 STEPS_ACROSS = 3.0
 """Least number of table steps over half the width or height of a generated LED's light."""
 
+MAX_AZIMUTH_DEG = 90.0
+"""Furthest that a lamp's LED is aimed to a side; beyond half a turn no direction would ever be lit by it."""
+
 FINEST_STEP_DEG = 0.05
 """Smallest table step; finer structure of LEDs from files is lost."""
 
@@ -130,11 +133,21 @@ def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> Mat
         base: The low beam; its table is resampled if it is too coarse or too small for the LEDs.
         grid: The LEDs.
         turn_deg: Angle by which all columns are turned to the left of the lamp's axis.
+
+    Raises:
+        ValueError: If the middle of a column is further than `MAX_AZIMUTH_DEG` from the axis, or the tables are too
+            large.
     """
     row_elevations = np.array(grid.row_elevations_deg, np.float64)
     column_azimuths = (
         np.arange(grid.num_columns, dtype=np.float64) - (grid.num_columns - 1) / 2
     ) * grid.pitch_deg + turn_deg
+    furthest = max(column_azimuths, key=abs)
+    if abs(furthest) > MAX_AZIMUTH_DEG:
+        raise ValueError(
+            f"num_columns: expected columns within {MAX_AZIMUTH_DEG:g} degrees of the axis, with pitch_deg and "
+            f"turn_deg, got one at {furthest:g}"
+        )
     base = _fine_enough(
         base,
         (column_azimuths[0] - grid.reach_width_deg, column_azimuths[-1] + grid.reach_width_deg),

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.config import read_config
 from foreglow.datasets.json_files import MAX_LINE_BYTES, parse_json
 from foreglow.files import bounded_lines
 from foreglow.geometry import Floats
@@ -43,6 +44,8 @@ from foreglow.types import (
     Vehicles,
 )
 from foreglow.types.kinds import kinds_of_direct, tells_rear
+
+T = TypeVar("T")
 
 _STATE_NAMES = {state: cast(StateName, state.name.lower()) for state in TrackState}
 _MODE_NAMES = {mode: cast(ModeName, mode.name.lower()) for mode in BeamMode}
@@ -299,6 +302,41 @@ def has_tracks(path: Path | str) -> bool:
     return bool(first) and parse_json(first, FrameLineModel, f"{path}: line 1").root.get("tracks") is not None
 
 
+def own_threshold(path: Path) -> float | None:
+    """The threshold of the run that wrote the `frames.jsonl` at `path`; None if no run did.
+
+    Raises:
+        ValueError: If the run's configuration is broken.
+    """
+    config = path.with_name("config.toml")
+    if path.name != "frames.jsonl" or not config.is_file():
+        return None
+    return read_config(config).classifier.score_threshold
+
+
+def read_frame_lines(path: Path, convert: Callable[[FrameLine], T]) -> dict[int, T]:
+    """By frame, what `convert` makes of the lines of the `frames.jsonl` at `path`: every command reads it with this.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not of that form, a line cannot be converted, or the accepted boxes are not those of the
+            run's threshold, as when one of the two was edited; the message names the line and the field.
+    """
+    threshold = own_threshold(path)
+
+    def check_and_convert(line: FrameLine) -> T:
+        scores, accepted = line.get("scores"), line.get("detections_xyxy_px")
+        if threshold is not None and scores is not None and accepted is not None:
+            boxes = zip(line["proposals_xyxy_px"], scores, strict=False)  # `convert` checks that they are as many
+            wanted = [box for box, score in boxes if score > threshold]
+            if accepted != wanted:
+                expected = f"expected the {len(wanted)} boxes with scores above {threshold:g}, as config.toml has it"
+                raise ValueError(f"detections_xyxy_px: {expected}, got {len(accepted)}, or others")
+        return convert(line)
+
+    return read_lines(path, FrameLineModel, check_and_convert)
+
+
 def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
     """By image id, the tracks in the `frames.jsonl` at `path`.
 
@@ -306,7 +344,7 @@ def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
     """
-    return read_lines(Path(path), FrameLineModel, lambda line: _tracks(_entries_of(line), line.get("vehicles")))
+    return read_frame_lines(Path(path), lambda line: _tracks(_entries_of(line), line.get("vehicles")))
 
 
 def read_results(path: Path | str, score_threshold: float) -> Mapping[int, FrameResult]:
@@ -325,7 +363,7 @@ def read_results(path: Path | str, score_threshold: float) -> Mapping[int, Frame
         _entries_of(line)
         return line_to_result(line, score_threshold)
 
-    return read_lines(Path(path), FrameLineModel, convert)
+    return read_frame_lines(Path(path), convert)
 
 
 def _entries_of(line: FrameLine) -> list[TrackEntry]:
@@ -344,5 +382,5 @@ def read_gaps(path: Path | str) -> Mapping[int, Floats]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form; the message names the line and the field.
     """
-    beams = read_lines(Path(path), FrameLineModel, lambda line: line.get("beam"))
+    beams = read_frame_lines(Path(path), lambda line: line.get("beam"))
     return {frame: _gaps_rad(beam) for frame, beam in beams.items() if beam is not None}

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
-from foreglow.config import read_config
 from foreglow.datasets.json_files import read_json
 from foreglow.geometry import Floats
-from foreglow.runs.frame_line import Box, FrameLine, FrameLineModel
-from foreglow.runs.json_lines import Whole, checked, read_lines
+from foreglow.runs.frame_line import Box, FrameLine
+from foreglow.runs.frames_file import own_threshold, read_frame_lines
+from foreglow.runs.json_lines import Whole, checked
 from foreglow.types import LIGHT_KINDS
 from foreglow.whole_files import write_atomic
 
@@ -103,10 +103,8 @@ def run_threshold(path: Path | str) -> float:
     Raises:
         ValueError: If the run's configuration is broken.
     """
-    config = Path(path).with_name("config.toml")
-    if Path(path).name != "frames.jsonl" or not config.is_file():
-        return 0.5
-    return read_config(config).classifier.score_threshold
+    threshold = own_threshold(Path(path))
+    return 0.5 if threshold is None else threshold
 
 
 def read_predictions(path: Path | str) -> Predictions:
@@ -146,7 +144,7 @@ def _from_lines(path: Path) -> Predictions:
             None if kinds is None else _as_kinds(kinds, num_boxes),
         )
 
-    lines = read_lines(path, FrameLineModel, convert)
+    lines = read_frame_lines(path, convert)
     return Predictions(
         {image_id: boxes for image_id, (boxes, *_) in lines.items()},
         {image_id: scores for image_id, (_, scores, *_) in lines.items()},

@@ -18,9 +18,8 @@ from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.datasets.pvdn import is_pvdn
 from foreglow.outputs import check_kinds, check_outputs, exists
-from foreglow.runs.frame_line import FrameLine, FrameLineModel
-from foreglow.runs.frames_file import line_to_result
-from foreglow.runs.json_lines import read_lines
+from foreglow.runs.frame_line import FrameLine
+from foreglow.runs.frames_file import line_to_result, read_frame_lines
 from foreglow.runs.origin import digests_of, origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
@@ -201,7 +200,7 @@ def read_run(folder: Path | str) -> RecordedRun:
         return line.get("sequence", ""), dataclasses.replace(result, stage_ms=times.get(result.frame, {}))
 
     sequences: dict[str, list[FrameResult]] = {}
-    lines = read_lines(frames, FrameLineModel, convert)
+    lines = read_frame_lines(frames, convert)
     check_frames(folder, summary, len(lines))
     lack = lack_of_run(folder)
     if lack is not None:

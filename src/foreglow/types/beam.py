@@ -34,7 +34,7 @@ class BeamCommand(Value):
 
     Attributes:
         timestamp_ns: Time of exposure of the frame that it follows from, nanoseconds.
-        mode: A `BeamMode`; with LOW all levels are 0 and there are no gaps.
+        mode: A `BeamMode`; with LOW all levels are 0, and only GLARE_FREE has gaps.
         levels: Shape (2, L), float64 in [0, 1], left and right lamp, one for each LED above the low beam, numbered as
             in the lamp description.
         gaps_rad: Shape (G, 2), float64, right and left border of each dark gap: azimuths to the left in the vehicle's
@@ -46,7 +46,7 @@ class BeamCommand(Value):
     Raises:
         ValueError: If a type, a shape or a dtype is wrong, the time is no whole number of 64 bits, there is no such
             mode, a level is outside [0, 1] or NaN, gaps are not in order, a range is negative or infinite, a fault is
-            no name, or LOW has light above the low beam.
+            no name, LOW has light above the low beam, or FULL has gaps.
     """
 
     timestamp_ns: int
@@ -73,6 +73,8 @@ class BeamCommand(Value):
             _check_gaps(gaps, ranges_m)
         if self.mode == BeamMode.LOW and (len(gaps) or levels.any()):
             raise ValueError("BeamCommand.levels: expected 0 everywhere, and no gaps, with low beam")
+        if self.mode == BeamMode.FULL and len(gaps):
+            raise ValueError(f"BeamCommand.gaps_rad: expected none with full beam, got {len(gaps)}")
         object.__setattr__(self, "timestamp_ns", timestamp_ns)
         for name, array in (("levels", levels), ("gaps_rad", gaps), ("gap_ranges_m", ranges_m)):
             object.__setattr__(self, name, array)

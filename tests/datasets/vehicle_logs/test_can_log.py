@@ -276,6 +276,19 @@ def test_logs_that_python_can_misreads(
         read_can_log(path)
 
 
+def test_times_with_a_decimal_comma(tmp_path: Path, drive: list[tuple[int, StreetMessage]]) -> None:
+    """As a program writes them that goes by the language of Windows; python-can passes over such lines."""
+    path, same = tmp_path / "drive.asc", tmp_path / "same.asc"
+    write_can_log(path, drive)
+    lines = path.read_text().splitlines(keepends=True)
+    same.write_text(
+        "".join(re.sub(r"^(\s*\d+)\.", r"\1,", line) if number % 2 else line for number, line in enumerate(lines))
+    )
+    assert same.read_text() != path.read_text()
+    for time_ns, _ in drive:
+        assert read_can_log(same).street(time_ns) == read_can_log(path).street(time_ns)
+
+
 @pytest.mark.parametrize("suffix", [".asc", ".log"])
 def test_logs_put_together(suffix: str, tmp_path: Path, drive: list[tuple[int, StreetMessage]]) -> None:
     """Frames were put in order, so that the messages of two drives were mixed."""

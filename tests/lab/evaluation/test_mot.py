@@ -74,7 +74,8 @@ def test_rows(dataset: PVDN, tmp_path: Path) -> None:
         "2,1,11.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
     ]
     assert "seqLength=3" in (tmp_path / "gt/S00003/seqinfo.ini").read_text()
-    assert not (tmp_path / "gt/S00001").exists()  # no light
+    assert (tmp_path / "gt/S00001/gt/gt.txt").read_text() == ""  # no light
+    assert (tmp_path / "trackers/ours/data/S00001.txt").read_text() == ""
 
 
 def test_a_track_of_doubtful_light_is_left_out(dataset: PVDN, tmp_path: Path) -> None:
@@ -134,6 +135,17 @@ def test_trackeval_of_known_tracks(dataset: PVDN, tmp_path: Path) -> None:
     assert whole.hota == pytest.approx((3 / 5) ** 0.5)
     assert switched.ass_a == pytest.approx((1 / 3 + 2 * 2 / 3) / 3)
     assert switched.det_a == whole.det_a
+
+
+def test_false_tracks_where_no_light_is_count(dataset: PVDN, tmp_path: Path) -> None:
+    """Two of them, in the sequence without light, beside three of five objects that are followed."""
+    pytest.importorskip("trackeval")
+    tracks = followed(0, 0, 0) | {5: tracks_of([[10, 10, 30, 30]]), 7: tracks_of([[10, 10, 30, 30]])}
+    export_mot(dataset, BOXES, tracks, tmp_path)
+    scores = score_mot(tmp_path)
+    assert scores.mota == pytest.approx((3 - 2) / 5)
+    assert scores.det_a == pytest.approx(3 / 7)
+    assert scores.idf1 == pytest.approx(2 * 3 / (5 + 5))
 
 
 def test_trackeval_without_files(tmp_path: Path) -> None:

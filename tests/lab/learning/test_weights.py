@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import hashlib
 import json
+import re
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -123,6 +124,7 @@ def test_not_a_checkpoint(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(ValueError, match=r"weights\.pt: expected a plain torch state dict") as caught:
         import_weights(weights, tmp_path / "model.onnx")
     assert "\n" not in str(caught.value)
+    assert re.search("without code(: .* |, got a file that torch cannot read)", str(caught.value))
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.99])

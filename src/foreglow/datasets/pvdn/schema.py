@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from foreglow.datasets.json_files import Record
+from foreglow.files import shortened
 
 _NAMES_ON_DISK = {
     "directory": "dir",
@@ -47,7 +48,7 @@ Milliseconds: TypeAlias = Annotated[int | float, Field(ge=-(2**53), le=2**53)]
 
 def _plain_name(name: str) -> str:
     if name in ("", ".", "..") or "/" in name or "\\" in name or not name.isprintable():
-        raise ValueError("expected a plain name without a path")
+        raise ValueError(f"expected a plain name without a path, got {shortened(name)}")
     return name
 
 

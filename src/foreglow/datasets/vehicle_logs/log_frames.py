@@ -40,6 +40,7 @@ _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
 _RELATIVE = re.compile(
     r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE
 )  # each time counts from the event before
+_DECIMAL_COMMA = re.compile(r"^(\s*\d+),(?=\d+\s)")  # of a time
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]")  # in no encoding of text but UTF-16; DOS ends it with 0x1a
 _CANDUMP_LINE = re.compile(r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-Fa-f]{1,8}#")  # time, bus, identifier
 _BLF_CONTAINER = 10
@@ -164,6 +165,8 @@ class _TextLog(io.TextIOWrapper):
         self.number += 1
         if self.number == 1:
             self.line = self.line.removeprefix(_BYTE_ORDER_MARK)
+        if self._path.suffix.lower() == ".asc":  # python-can passes over a time with a comma, as Windows may write it
+            self.line = _DECIMAL_COMMA.sub(r"\1.", self.line)
         if _RELATIVE.match(self.line):
             self.is_told = True
             raise ValueError(f"{self._path}: line {self.number}: expected timestamps absolute, got relative ones")

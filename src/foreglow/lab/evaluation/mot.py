@@ -68,9 +68,10 @@ def export_mot(
     *,
     origin: str = "tracks",
 ) -> None:
-    """Writes the lights and the tracks of `dataset` into `folder`, as the module says, without sequences without light.
+    """Writes the lights and the tracks of `dataset` into `folder`, as the module says.
 
-    Nothing is written unless all of it can be used and written. `origin` names the run in messages.
+    A sequence without light has an empty `gt.txt`: every track there is a false one. Nothing is written unless all of
+    it can be used and written. `origin` names the run in messages.
 
     Raises:
         FileNotFoundError: If a label file is missing.
@@ -81,19 +82,20 @@ def export_mot(
     if not name or name != Path(name).name or name == "..":
         raise ValueError(f"name of the tracker: expected one of a folder, without slashes, got {name!r}")
     files: dict[Path, str] = {}
+    num_lights = 0
     for sequence in dataset.sequences:
         image_ids = sorted(sequence.image_ids)
         for image_id in image_ids:
             if image_id not in tracks or image_id not in proposals.boxes_xyxy_px:
                 raise ValueError(f"{origin}: expected all images of {dataset.root}, got a run without image {image_id}")
-        lights = "".join(_light_rows(dataset, image_ids, proposals))
-        if lights:
-            truth = folder / "gt" / sequence.directory
-            files[truth / "gt" / "gt.txt"] = lights
-            files[truth / INFO_NAME] = _sequence_info(dataset, sequence)
-            rows = "".join(_track_rows(dataset, image_ids, tracks))
-            files[folder / "trackers" / name / "data" / f"{sequence.directory}.txt"] = rows
-    if not files:
+        lights = list(_light_rows(dataset, image_ids, proposals))
+        num_lights += len(lights)
+        truth = folder / "gt" / sequence.directory
+        files[truth / "gt" / "gt.txt"] = "".join(lights)
+        files[truth / INFO_NAME] = _sequence_info(dataset, sequence)
+        rows = "".join(_track_rows(dataset, image_ids, tracks))
+        files[folder / "trackers" / name / "data" / f"{sequence.directory}.txt"] = rows
+    if not num_lights:
         raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
     _check_own(files)
     with together():

@@ -337,3 +337,16 @@ def _samples(
         sequence_ids=np.full(len(labels), sequence_id, np.int32),
         sets=sets,
     )
+
+
+def check_learnable(samples: Samples, origin: str, *, has_kinds: bool) -> None:
+    """Checks that a network can learn from samples: there are light artifacts and others, and with kinds if needed.
+
+    Raises:
+        ValueError: If it cannot; the message begins with `origin`.
+    """
+    for label, kind in ((POSITIVE, "light artifacts"), (NEGATIVE, "boxes without one")):
+        if samples.num_labelled(label) == 0:
+            raise ValueError(f"{origin}: expected {kind} among {len(samples)} boxes, found none")
+    if has_kinds and np.isnan(samples.kinds[samples.labels != IGNORED]).any():
+        raise ValueError(f"{origin}: expected the kind of light of every labelled box, found NaN")

@@ -38,7 +38,7 @@ from foreglow.lab.learning.batches import (
 from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
 from foreglow.lab.learning.networks import COMPARING, learnt_logits, logits_of, recipe_network
 from foreglow.lab.learning.recipes import Recipe
-from foreglow.lab.learning.samples import Samples, set_bounds, set_sizes
+from foreglow.lab.learning.samples import Samples, check_learnable, set_bounds, set_sizes
 from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 from foreglow.whole_files import write_atomic
@@ -128,9 +128,7 @@ def train(
     """
     chosen = torch_device(device)
     for name, samples in (("train", train_samples), ("val", val_samples)):
-        for label, kind in ((POSITIVE, "light artifacts"), (NEGATIVE, "boxes without one")):
-            if samples.num_labelled(label) == 0:
-                raise ValueError(f"{name} samples: expected {kind} among {len(samples)} boxes, found none")
+        check_learnable(samples, f"{name} samples", has_kinds=recipe.kinds and name == "train")
     folder.mkdir(parents=True, exist_ok=True)
     identity = {
         **recipe.model_dump(mode="json"),
@@ -253,8 +251,6 @@ class _Trainer:
         self._kinds = kind_targets(samples, recipe.unmarked_light)
         if taught is not None:
             self._kinds += np.float32(recipe.taught) * (taught - self._kinds)
-        if recipe.kinds and np.isnan(samples.kinds[samples.labels != IGNORED]).any():
-            raise ValueError("train samples: expected the kind of light of every labelled box, found NaN")
 
     def _batches(self, number: int) -> Iterator[NDArray[np.intp]]:
         """The batches of an epoch; with doubtful samples if those of a frame are needed together."""

@@ -22,7 +22,7 @@ from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples
-from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, joined
+from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined
 from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
@@ -103,6 +103,9 @@ def train_model(
         name: joined([labelled_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
         for name in names
     }
+    for name in names:
+        origin = ", ".join(str(dataset.root) for dataset in splits[name])
+        check_learnable(samples[name], origin, has_kinds=recipe.kinds and name == "train")
     reported = WithEventFiles(folder, progress) if importlib.util.find_spec("tensorboard") else progress
     taught = taught_kinds(models, samples["train"]) if models else None
     result = train(recipe, samples["train"], samples["val"], folder, taught=taught, device=device, progress=reported)

@@ -81,8 +81,10 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         AttributeError,
         TypeError,
     ) as error:
-        reason = first_line_of(error) or type(error).__name__
-        raise ValueError(f"{path}: expected a plain torch state dict without code: {reason}") from error
+        # Of a file that is none, torch's unpickler gives a byte, a key or nothing.
+        reason = first_line_of(error) if isinstance(error, RuntimeError | pickle.UnpicklingError) else ""
+        told = f": {reason}" if " " in reason else f", got a file that torch cannot read ({type(error).__name__})"
+        raise ValueError(f"{path}: expected a plain torch state dict without code{told}") from error
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: expected a state dict, got {type(state).__name__}")
     arrays: dict[str, NDArray[Any]] = {}

@@ -12,6 +12,7 @@ from foreglow.datasets.simulated import Artifact, VehicleTruth
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
+from foreglow.files import read_toml
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import Scene, scene_to_toml
 from foreglow.lab.simulation.writing.dataset import Progress
@@ -53,11 +54,14 @@ def preview(
         progress: Called after every frame, as for data sets.
 
     Raises:
-        ValueError: If one of the files is there without the others, which is of something else.
+        ValueError: If one of the files is there without the others, or `preview.toml` is no scene: they are of
+            something else.
         OSError: If a file cannot be written.
     """
     sheet, film, mark = folder / "contact_sheet.png", folder / "drive.mp4", folder / "preview.toml"
     check_made_together((sheet, film, mark))
+    if mark.exists() and not _is_scene(mark):
+        raise ValueError(f"{mark}: expected the scene of an earlier preview, or nothing; choose another folder")
     shown = {round(number) for number in np.linspace(0, scene.num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     tone: Tone | None = None
     tiles: list[Picture] = []
@@ -79,6 +83,14 @@ def preview(
         write_atomic(sheet, cv2.imencode(".png", contact_sheet(tiles))[1].tobytes())
         write_atomic(mark, scene_to_toml(scene).encode())
     return sheet, film
+
+
+def _is_scene(path: Path) -> bool:
+    """Whether the file at `path` has the sections of a scene as it is written, of whatever version."""
+    try:
+        return {"name", "road", "ego", "camera", "sensor"} <= read_toml(path).keys()
+    except ValueError:
+        return False
 
 
 def labelled(known: DriveFrame, tone: Tone) -> Picture:

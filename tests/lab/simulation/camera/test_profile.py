@@ -135,6 +135,19 @@ def test_a_size_that_does_not_fit_the_rendering(profile: CameraProfile, message:
         View(profile, camera(160, 120))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[view]\nfocal_px = 500.0\n", r"view\.focal_px: expected together with width_px and height_px, got 500 alone"),
+        ("name = 'a/b'\n", "name: expected a plain name without a path, got 'a/b'"),
+    ],
+)
+def test_a_profile_that_cannot_be(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "own.toml").write_text(text)
+    with pytest.raises(ValueError, match=rf"own\.toml: {message}$"):
+        read_profile(str(tmp_path / "own.toml"))
+
+
 def test_a_late_gain_amplifies_black_and_highlights_but_not_the_linear_part() -> None:
     profile = CameraProfile(name="own", imager=ImagerSpec(model="scene", late_gain=2.0, row_noise=1.5, grain_px=1.2))
     before = SensorSpec()

@@ -47,7 +47,7 @@ class ViewSpec(SpecModel):
         if (self.width_px is None) != (self.height_px is None):
             raise ValueError("width_px: expected together with height_px, got one of them")
         if self.focal_px is not None and self.width_px is None:
-            raise ValueError("focal_px: expected together with width_px and height_px")
+            raise ValueError(f"focal_px: expected together with width_px and height_px, got {self.focal_px:g} alone")
         return self
 
 

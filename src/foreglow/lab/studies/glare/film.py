@@ -56,7 +56,8 @@ def _picture(shone: Shone, title: str, tools: tuple[BeamView, Pen, Tone]) -> Pic
     view, pen, tone = tools
     is_low = not shone.levels.any()
     gaps_rad = np.zeros((0, 2)) if is_low else shone.gaps_rad
-    mode = BeamMode.LOW if is_low else BeamMode.GLARE_FREE if shone.levels.min() < 1.0 else BeamMode.FULL
+    is_full = shone.levels.min() >= 1.0 and not len(gaps_rad)
+    mode = BeamMode.LOW if is_low else BeamMode.FULL if is_full else BeamMode.GLARE_FREE
     command = BeamCommand(
         shone.known.frame.timestamp_ns,
         mode,
