@@ -82,6 +82,19 @@ def test_a_part_that_shows_old_images_in_turn(drive: list[Image], part: float, n
     assert all(faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize("every", [2, 3, 6])
+@pytest.mark.parametrize("place", ["columns", "rows"])
+def test_an_old_part_of_single_images_with_intact_ones_between(drive: list[Image], place: str, every: int) -> None:
+    images = with_noise(drive)
+    height, width = images[0].shape
+    part: Any = np.s_[:, : width // 3] if place == "columns" else np.s_[: height // 3]
+    for number in range(NUM_GOOD, len(images), every):
+        images[number][part] = images[NUM_GOOD - 1][part]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + 2 * every :])
+
+
 STRIPES = [f"{form} {px}" for form in ("even", "uneven") for px in (8, 24, 48)]
 
 

@@ -127,7 +127,9 @@ class CameraWatch:
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
-            is_damaged |= self._damage.update(change, pieces, one_value, known, timestamp_ns, is_still=is_still)
+            is_damaged |= self._damage.update(
+                change, pieces, one_value, known, timestamp_ns, is_still=is_still, is_moving=is_moving
+            )
             if not is_damaged:
                 self._comparer.keep()
         if is_damaged:

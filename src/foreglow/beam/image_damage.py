@@ -53,9 +53,11 @@ Measured: never both below 1.3 times these when moving; rows that are repeated b
 
 KNOWN_SHARE, NOISY_KNOWN_SHARE = 0.1, 0.02
 """Damage: in two images in a row, more than this share of the pieces of rows are, pixel by pixel, those of earlier
-images, where none of the recent images had more than the second number: each had noise. So it is where a decoder or a
-driver fills only a part of an old buffer. Pieces of a single value do not count. Measured: 0 in the drive that ships,
-raw, MJPEG, 8 Mbit/s, and at a quarter of its light; .6 in single images at 1 Mbit/s, for which little is sent."""
+images, where none of the recent images had more than the second number: each had noise. So it is in two images that
+have others between them, if these pieces are not those of the image just before, as an encoder may leave them. Then a
+decoder or a driver fills only a part of an old buffer. Pieces of a single value do not count. Measured: 0 in the drive
+that ships, raw, MJPEG, 8 Mbit/s, and at a quarter of its light; .6 in single images at 1 Mbit/s, for which little is
+sent."""
 
 TWO_WITHIN_S = 0.5
 """Two images of those that are damage only if there are two of a kind: intact ones may come between."""
@@ -92,7 +94,7 @@ DAMAGE_HOLD_S = 0.5
 RELEARN_S = 10.0
 """What is unusual for longer than this is how the scene is; what is usual is learnt anew."""
 
-LONG_SAME_SHARE, KNOWN_AGAIN_SHARE, FILLED_SHARE, LONG_ROUGH_SHARE, NUM_NEVER = 0.1, 0.1, 0.1, 0.1, 3
+LONG_SAME_SHARE, KNOWN_AGAIN_SHARE, FILLED_SHARE, LONG_ROUGH_SHARE, NUM_NEVER = 0.1, 0.1, 0.1, 0.2, 3
 """Damage, whatever was usual: in so many images in a row with new noise, more than these shares of the textured samples
 have not changed for long, or of the pieces of rows are known, or grey and of one value; or, with new noise or not, are
 rough. Measured in intact images with new noise: .014, .05, 0 and .02 at most."""
@@ -130,6 +132,7 @@ class ImageDamage:
         timestamp_ns: int,
         *,
         is_still: bool,
+        is_moving: bool | None,
     ) -> bool:
         """Whether the image is damaged, or one shortly before it was.
 
@@ -140,16 +143,18 @@ class ImageDamage:
             known: What of the image was there before.
             timestamp_ns: The time of the image.
             is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
+            is_moving: Whether our vehicle moves so fast that every part of an image must change; None if not known.
         """
         if change is None:
             self._forget_changes()
         else:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
             is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
-            is_unusual |= self._is_never_so(change, pieces, known, is_still=is_still)
+            is_unusual |= self._is_never_so(change, pieces, known, is_still=is_still or is_moving is False)
             if not is_still:
-                had_old_parts = self._had_old_parts
-                self._had_old_parts = self.has_old_parts(known)
+                had_old_parts, self._had_old_parts = self._had_old_parts, self.has_old_parts(known)
+                has_earlier = self._had_old_parts and known.share_earlier > KNOWN_SHARE
+                is_unusual |= self._earlier_twice.update(has_earlier, timestamp_ns)
                 is_unusual |= (
                     self._has_stuck_tiles(change)
                     or self._has_stuck_samples(change)
@@ -158,7 +163,7 @@ class ImageDamage:
             if is_unusual or has_edges:
                 self._damaged_ns = timestamp_ns
             if not (is_unusual or is_still):
-                self._learn(change, pieces, one_value, known)
+                self._learn(change, pieces, one_value, known, timestamp_ns)
                 self._usual_ns = timestamp_ns
             elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
                 self._forget()
@@ -173,8 +178,9 @@ class ImageDamage:
         self._rough: deque[float] = deque(maxlen=NUM_RECENT)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._known_shares: deque[float] = deque(maxlen=NUM_OLDER)
-        self._single_share = 0.0
         self._had_old_parts = False
+        self._earlier_twice: _Twice = _Twice()
+        self._single_share: float | None = None
         self._forget_changes()
 
     def _forget_changes(self) -> None:
@@ -214,7 +220,7 @@ class ImageDamage:
         return is_unusual or (had_pairs and self._has_pairs)
 
     def _is_never_so(self, change: ImageChange, pieces: PieceMeasures, known: KnownParts, *, is_still: bool) -> bool:
-        """Whether several images in a row are as no camera's are, whatever was usual; still ones do not count."""
+        """Whether several images in a row are as a moving camera's never are; still ones do not count."""
         if is_still:
             return self._num_never >= NUM_NEVER
         deviation = change.share_stuck_texture - change.share_same_long
@@ -251,7 +257,9 @@ class ImageDamage:
         self._is_stuck = is_noisy and has_risen and is_lit
         return self._is_stuck
 
-    def _learn(self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts) -> None:
+    def _learn(
+        self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts, timestamp_ns: int
+    ) -> None:
         """Counts an image as usual, but for what would be damage in two images."""
         self._repeated.append(change.share_repeated)
         self._flat.append(change.share_flat_rows)
@@ -261,8 +269,10 @@ class ImageDamage:
         if self._had_old_parts:  # of a fault the first; of an encoder that sends next to nothing of some images, alone
             self._single_share = known.share
         else:
-            self._known_shares.append(max(known.share, self._single_share))
-            self._single_share = 0.0
+            self._known_shares.append(known.share)
+            if self._single_share is not None and not self._earlier_twice.waits(timestamp_ns):
+                self._known_shares.append(self._single_share)
+                self._single_share = None
         if not self._flat_twice.is_latest:
             self._flat_pieces.append(change.share_flat_pieces)
         if not self._has_pairs:
@@ -287,8 +297,13 @@ class _Twice:
         self.is_latest = is_so
         if not is_so:
             return False
-        before_ns, self._before_ns = self._before_ns, timestamp_ns
-        return before_ns is not None and 0 < timestamp_ns - before_ns <= TWO_WITHIN_S * 1e9
+        is_second = self.waits(timestamp_ns)
+        self._before_ns = timestamp_ns
+        return is_second
+
+    def waits(self, timestamp_ns: int) -> bool:
+        """Whether there was one of the kind so shortly before that time."""
+        return self._before_ns is not None and 0 < timestamp_ns - self._before_ns <= TWO_WITHIN_S * 1e9
 
 
 def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -32,11 +32,13 @@ class KnownParts:
 
     Attributes:
         share: Share of the pieces that recent images had at the same place, without those of a single value.
+        share_earlier: The same, but for the pieces that are those of the image just before, as an encoder leaves them.
         is_repeated: Whether the whole image was there before.
         is_back: Whether it was, and another one came between.
     """
 
     share: float
+    share_earlier: float
     is_repeated: bool
     is_back: bool
 
@@ -51,7 +53,7 @@ class KnownImages:
     def reset(self) -> None:
         """Forgets the images so far."""
         self._known: OrderedDict[bytes, int] = OrderedDict()
-        self._latest = b""
+        self._latest, self._place = b"", 0
         self._sums = np.zeros((NUM_KNOWN, 0, 0), np.uint64)
 
     def update(self, rows: Image) -> KnownParts:
@@ -63,15 +65,21 @@ class KnownImages:
             self._sums = np.zeros((NUM_KNOWN, *sums.shape), np.uint64)
         before, self._latest = self._latest, sums.tobytes()
         if self._latest in self._known:
-            share = float(_is_uneven(words, starts).mean())
-            return KnownParts(share, is_repeated=True, is_back=share > COMES_BACK_SHARE and self._latest != before)
+            self._place = self._known[self._latest]
+            share, is_other = float(_is_uneven(words, starts).mean()), self._latest != before
+            is_back = share > COMES_BACK_SHARE and is_other
+            return KnownParts(share, share if is_other else 0.0, is_repeated=True, is_back=is_back)
         num = len(self._known)
         is_known = (self._sums[:num] == sums).any(axis=0)
-        place = num if num < NUM_KNOWN else self._known.popitem(last=False)[1]
-        self._known[self._latest] = place
-        self._sums[place] = sums
-        share = float((is_known & _is_uneven(words, starts)).mean()) if is_known.any() else 0.0
-        return KnownParts(share, is_repeated=False, is_back=False)
+        is_as_before = self._sums[self._place] == sums
+        self._place = num if num < NUM_KNOWN else self._known.popitem(last=False)[1]
+        self._known[self._latest] = self._place
+        self._sums[self._place] = sums
+        if not is_known.any():
+            return KnownParts(0.0, 0.0, is_repeated=False, is_back=False)
+        is_known &= _is_uneven(words, starts)
+        share_earlier = float((is_known & ~is_as_before).mean())
+        return KnownParts(float(is_known.mean()), share_earlier, is_repeated=False, is_back=False)
 
     def _checksums(self, words: NDArray[np.uint64], starts: NDArray[np.intp]) -> NDArray[np.uint64]:
         """By row and piece, a sum of the words times odd numbers; all of it modulo 2 to the power of 64."""
