@@ -55,7 +55,7 @@ ROAD = RoadAhead(np.stack([np.arange(0.0, 400.0, 5.0), np.arange(0.0, 400.0, 5.0
 def drive(num_lights: int, direct: float) -> list[tuple[Tracks, Frame]]:
     """Lights that come nearer: lamps, two a vehicle, by their probability `direct`, or light on things."""
     random = np.random.default_rng(0)
-    images = [random.integers(5, 60, (960, 1280), np.uint8) for _ in range(NUM_KNOWN + 1)]
+    images = [random.integers(10, 35, (960, 1280), np.uint8) for _ in range(NUM_KNOWN + 1)]
     drawn = []
     for number in range(NUM_FRAMES):
         ranges_m = 250.0 - 0.4 * number + 10.0 * np.arange(num_lights, dtype=np.float64)
