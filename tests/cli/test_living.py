@@ -25,6 +25,7 @@ from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.forked import Loaded
 from tests.datasets.bags.bags import images, make_mcap
+from tests.datasets.test_video import make_video
 
 pytestmark = pytest.mark.slow
 
@@ -218,6 +219,17 @@ def test_what_a_recording_lacks_ends_it(damage: str, tmp_path: Path) -> None:
     assert line.startswith(f"foreglow: expected a whole recording, frames may be lost: {path}: ")
     assert "1 left out as unreadable, the first: " in result.stdout
     assert num_lines(out) == 4
+    assert not read_summary(out / "summary.json").is_complete
+
+
+def test_a_video_that_is_cut_ends_it(tmp_path: Path) -> None:
+    data = make_video(tmp_path / "whole.mkv").read_bytes()
+    path, out = tmp_path / "cut.mkv", tmp_path / "out"
+    path.write_bytes(data[: len(data) * 2 // 3])
+    result = foreglow_command("live", path, "--speed", 0, "--out", out)
+    assert result.exit_code == 2, result.output
+    assert f"frames may be lost: {path}: truncated video, " in result.stderr.splitlines()[-1]
+    assert num_lines(out) > 4
     assert not read_summary(out / "summary.json").is_complete
 
 

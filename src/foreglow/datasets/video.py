@@ -118,8 +118,8 @@ class Video(FileSource):
         return self.path.name
 
     def __iter__(self) -> Iterator[Frame]:
-        self.lost_parts = [self._hole] if self._hole else []
-        self.skipped = [self._truncation] if self._truncation else [*self.lost_parts]
+        self.lost_parts = [message for message in (self._truncation, self._hole) if message]
+        self.skipped = [*self.lost_parts]
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
