@@ -22,7 +22,7 @@ import pytest
 from pydantic import BaseModel
 
 from foreglow.datasets.json_files import parse_json, read_json
-from foreglow.files import fields_to_json, json_text, read_plain_json, read_text, to_json, write_json_results
+from foreglow.files import fields_to_json, json_text, number_in, read_plain_json, read_text, to_json, write_json_results
 from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
 
 
@@ -199,6 +199,13 @@ def test_values_as_json(value: Any, expected: Any) -> None:
     assert found == expected
     assert json.loads(json.dumps(found, allow_nan=False)) == expected  # nothing of numpy is left
     assert json.loads(json_text(value)) == expected
+
+
+@pytest.mark.parametrize("text", ["1_000", "1_0.5", "", "one", "1,5"])
+def test_what_is_no_number(text: str) -> None:
+    assert number_in(" -1.5e3\n") == -1500
+    with pytest.raises(ValueError, match="could not convert"):
+        number_in(text)
 
 
 def test_a_value_that_json_cannot_hold_is_refused(tmp_path: Path) -> None:

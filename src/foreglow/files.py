@@ -366,6 +366,15 @@ _SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 3, 4, 6, 6
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
 
 
+def number_in(text: str) -> float:
+    """The number that a text is, finite or not.
+
+    Raises:
+        ValueError: If it is none; 1_000, which Python alone takes for one, is none.
+    """
+    return float(text.replace("_", "?"))
+
+
 def shortened(value: object) -> str:
     """`value` as Python writes it, cut for a message, whatever its size.
 

@@ -67,7 +67,7 @@ def checked_number(field: str, value: object) -> float:
     Traceback (most recent call last):
     ValueError: EgoMotion.speed_mps: expected a number, got 'fast'
     """
-    if isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):
             return float(value)
     raise ValueError(f"{field}: expected a number, got {value!r:.40}")

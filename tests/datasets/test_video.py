@@ -139,6 +139,12 @@ def test_times_that_go_back_a_little_are_refused(tmp_path: Path) -> None:
     assert len(video.skipped) == 1
 
 
+def test_pictures_with_data_of_a_kind_that_the_decoder_does_not_name(tmp_path: Path) -> None:
+    """Exif, in TIFF."""
+    path = make_video(tmp_path / "clip.mov", codec="tiff", pixels="rgb24", num_frames=3)
+    assert [int(frame.image.mean()) for frame in Video(path)] == [8, 16, 24]
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_a_file_cut_in_the_middle(tmp_path: Path, suffix: str) -> None:
     data = make_video(tmp_path / f"whole{suffix}").read_bytes()

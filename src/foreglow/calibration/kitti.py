@@ -25,7 +25,7 @@ from foreglow.calibration.values import (
     Intrinsics,
     checked_distortion,
 )
-from foreglow.files import MIB, check_each_once, read_text
+from foreglow.files import MIB, check_each_once, number_in, read_text
 from foreglow.geometry import Floats
 
 MAX_CALIBRATION_BYTES = MIB
@@ -72,7 +72,7 @@ class _Entries:
             raise ValueError(f"{self._path}: {key}: missing, the file's entries are: {known}")
         words = self._texts[key].split()
         try:
-            values = np.array([float(word) for word in words])
+            values = np.array([number_in(word) for word in words])
         except ValueError as error:
             raise ValueError(f"{self._path}: {key}: expected {count} numbers: {error}") from None
         if len(values) != count:

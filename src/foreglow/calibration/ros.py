@@ -25,7 +25,7 @@ from pydantic import BeforeValidator, Field
 
 from foreglow.calibration.values import NO_DISTORTION, Five, ImageChoice, Intrinsics, Side, checked_distortion
 from foreglow.config import FrozenModel, validated
-from foreglow.files import read_yaml
+from foreglow.files import number_in, read_yaml
 
 MODELS = ("plumb_bob", "rational_polynomial")
 """Distortion models that can be read; the second only if its terms beyond k3 are 0."""
@@ -37,7 +37,7 @@ def _number(value: Any) -> Any:
     """A number that YAML 1.1 reads as a text, such as 1e-05 without a dot; the C++ tools of ROS write it."""
     if isinstance(value, str):
         try:
-            return float(value)
+            return number_in(value)
         except ValueError:
             return value
     return value

@@ -234,7 +234,12 @@ def _upright(picture: Any, image: Any) -> NDArray[Any]:
     from av.sidedata.sidedata import SideDataContainer
 
     # Not `picture.side_data`, by which the two hold each other: pictures would pile up until Python looks for cycles.
-    matrix = SideDataContainer(picture).get("DISPLAYMATRIX")  # type: ignore[call-arg]
+    try:
+        matrix = SideDataContainer(picture).get("DISPLAYMATRIX")  # type: ignore[call-arg]
+    except ValueError:  # data of a kind that PyAV does not know, as Exif in TIFF
+        if picture.rotation % 90:
+            raise ValueError(f"display matrix: expected quarter turns, got {picture.rotation} degrees") from None
+        return np.ascontiguousarray(np.rot90(image, picture.rotation // 90))
     if matrix is not None:
         # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
         a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from foreglow.files import read_plain_json, shortened
-from foreglow.geometry import Floats
+from foreglow.files import number_in, read_plain_json, shortened
+from foreglow.geometry import Floats, checked_number
 from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_points, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
@@ -83,7 +83,7 @@ def _lines(document: Any, origin: str) -> Iterator[tuple[str, Floats, float]]:
 def _coordinates(values: Any, origin: str) -> Floats:
     """The coordinates as an array, shape (N, 2) or (N, 3)."""
     try:
-        coordinates = np.array(values, np.float64)
+        coordinates = np.array([[checked_number("coordinates", value) for value in point] for point in values])
     except (TypeError, ValueError, OverflowError):
         coordinates = np.zeros(0)
     if coordinates.ndim != 2 or coordinates.shape[1] not in (2, 3) or not np.isfinite(coordinates).all():
@@ -96,7 +96,7 @@ def _coordinates(values: Any, origin: str) -> Floats:
 def _width_m(value: Any, origin: str) -> float:
     """The width in a property; OpenStreetMap writes it as a text."""
     try:
-        width_m = 2 * LANE_WIDTH_M if value is None else math.nan if isinstance(value, bool) else float(value)
+        width_m = 2 * LANE_WIDTH_M if value is None else math.nan if isinstance(value, bool) else number_in(str(value))
     except (TypeError, ValueError, OverflowError):
         width_m = math.nan
     if not 0 < width_m <= MAX_WIDTH_M:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.files import bounded_lines, read_text
+from foreglow.files import bounded_lines, number_in, read_text
 from foreglow.geometry import Floats, Pose
 from foreglow.maps.centre_line import check_points
 from foreglow.maps.geographic import GeographicOrigin, check_position
@@ -190,7 +190,7 @@ def _numbers(path: Path, columns: list[str], rows: list[tuple[int, list[str]]]) 
         if len(words) != len(columns):
             raise ValueError(f"{path}: line {line}: expected {len(columns)} numbers, got {len(words)}")
         try:
-            values[index] = [float(word) for word in words]
+            values[index] = [number_in(word) for word in words]
         except ValueError as error:
             raise ValueError(f"{path}: line {line}: expected numbers: {error}") from None
     for row, column in np.argwhere(~np.isfinite(values))[:1].tolist():

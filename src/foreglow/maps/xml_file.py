@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from foreglow.files import MIB, read_bytes
+from foreglow.files import MIB, number_in, read_bytes
 
 MAX_XML_BYTES = 64 * MIB
 """Largest map: that of a city."""
@@ -54,7 +54,7 @@ def number_of(element: Element, name: str, origin: str, default: float | None = 
     if text is None and default is not None:
         return default
     try:
-        value = float(text or "")
+        value = number_in(text or "")
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

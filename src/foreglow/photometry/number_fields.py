@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.files import MIB, read_text, shortened
+from foreglow.files import MIB, number_in, read_text, shortened
 from foreglow.geometry import Floats
 
 MAX_LAMP_BYTES = 16 * MIB
@@ -74,7 +74,7 @@ class NumberFields:
         values = np.empty(num)
         for index, (line, word) in enumerate(words):
             try:
-                values[index] = float(word.replace(",", ".").replace("_", "?"))  # Python alone takes 1_000
+                values[index] = number_in(word.replace(",", "."))
             except ValueError:
                 values[index] = np.nan
             if not np.isfinite(values[index]):

@@ -29,7 +29,7 @@ from foreglow.datasets.exchange.marks import (
     writable_name,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
-from foreglow.files import shortened
+from foreglow.files import number_in, shortened
 from foreglow.maps.xml_file import number_of, read_xml
 
 MAX_SIZE_PX = 2**20
@@ -104,7 +104,7 @@ def _points(shape: Element, origin: str) -> list[tuple[float, float]]:
         return [((left + right) / 2, (top + bottom) / 2)]
     text = shape.get("points", "")
     try:
-        return [(float(x), float(y)) for x, y in (pair.split(",") for pair in text.split(";"))]
+        return [(number_in(x), number_in(y)) for x, y in (pair.split(",") for pair in text.split(";"))]
     except ValueError:
         raise ValueError(f"{origin} points: expected x,y;x,y;..., got {shortened(text)}") from None
 
