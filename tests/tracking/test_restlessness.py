@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foreglow.config import OUR_TRACKER, TrackerConfig
-from foreglow.tracking.restlessness import MAX_DIRECT, RESTLESS_RAD, STEADY_RAD, scores_of_restless, surprises_rad
+from foreglow.tracking.restlessness import MAX_DIRECT, RESTLESS_RAD, STEADY_RAD, restlessness, scores_of_restless
 from foreglow.tracking.tracker import AlphaBetaTracker
 from foreglow.types import Detections
 from foreglow.types.kinds import kinds_of_direct
@@ -68,21 +69,31 @@ def test_without_a_weight_only_scores_count() -> None:
     assert TrackerConfig().restless_evidence == 0.0
 
 
+def test_an_outlier_counts_no_more_the_further_away_it_is() -> None:
+    """As of two boxes that are one for a frame."""
+    config = OURS.model_copy(update={"neutral_score": 0.75})
+    near, far = ([600, 600, 600, 600 + jump, *[600] * 26] for jump in (15, 30))
+    histories = [[is_confirmed(lefts[:count], config=config) for count in range(1, 31)] for lefts in (near, far)]
+    assert histories[0] == histories[1]
+    assert any(histories[0])
+    assert not histories[0][-1]
+
+
 def test_an_angle_in_each_frame() -> None:
-    found = surprises_rad(np.array([-4.0, 4.0, 4.0, np.nan]), 1000.0, np.array([1.0, 2.0, 0.5, 1.0]))
-    assert found.tolist() == pytest.approx([0.004, 0.002, 0.004, np.nan], nan_ok=True)
+    angle_rad = math.sqrt(STEADY_RAD * RESTLESS_RAD)
+    found = restlessness(np.array([-1.0, 2.0, 1.0, np.nan]) * 1e3 * angle_rad, 1e3, np.array([1.0, 2.0, 0.5, 1.0]))
+    assert found.tolist() == pytest.approx([0.5, 0.5, 0.5, np.nan], nan_ok=True)
 
 
-@given(st.floats(0, 1), st.floats(0, 0.1), st.floats(0, 0.1), st.floats(0, 10))
+@given(st.lists(st.floats(0, 1e4), min_size=2, max_size=9), st.floats(1, 1e4), st.floats(0, 20))
+def test_further_away_is_never_less_restless(residuals: list[float], focal_px: float, num_frames: float) -> None:
+    found = restlessness(np.sort(residuals), focal_px, np.full(len(residuals), num_frames))
+    assert (np.diff(found) >= 0).all()
+    assert found.min() >= 0
+    assert found.max() <= 1
+
+
+@given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1), st.floats(0, 10))
 def test_more_restless_is_never_less_of_a_vehicle(score: float, first: float, second: float, weight: float) -> None:
-    restless = np.sort([first, second])
-    below, above = scores_of_restless(np.full(2, score), restless, np.zeros(2), weight)
-    assert score <= below + 1e-12
-    assert below <= above <= 1.0
-
-
-def test_beyond_both_angles_nothing_changes_any_more() -> None:
-    restless = np.array([0.0, STEADY_RAD, RESTLESS_RAD, 1.0])
-    scores = scores_of_restless(np.full(4, 0.5), restless, np.full(4, np.nan), 2.0)
-    assert scores[0] == scores[1] == 0.5
-    assert scores[2] == scores[3] == pytest.approx(1 / (1 + np.exp(-2.0)))
+    below, above = scores_of_restless(np.full(2, score), np.sort([first, second]), np.full(2, np.nan), weight)
+    assert score - 1e-12 <= below <= above + 1e-12 <= 1.0 + 1e-12

@@ -3,19 +3,23 @@
 What stands still moves steadily in the image, whatever our own motion, and most of what we light stands still. With the
 centres x of a box in its latest three detections, in pixels, and the rate v at which it moved between the former two,
 the light was elsewhere than expected by x - (x' + v dt). With n frame periods in dt and the focal length f in pixels,
+that is an angle d in each frame, and the light was restless by q in it:
 
-    m <- m + g (|x - x' - v dt| / (n f) - m)                                                                    (1)
+    d = |x - x' - v dt| / (n f)                                                                                 (1)
+    q = log(d / A) / log(B / A), limited to [0, 1],   A = `STEADY_RAD`, B = `RESTLESS_RAD`                      (2)
 
-is a moving mean of that angle in each frame. The vertical is left out: there the pitch of our car moves everything.
-From the restlessness m follows for the score s of a detection
+The vertical is left out: there the pitch of our car moves everything. The restlessness m is a moving mean of q, and the
+score s of a detection becomes s' as evidence:
 
-    logit(s') = logit(s) + w log(m / A) / log(B / A),   the fraction limited to [0, 1]                          (2)
+    logit(s') = logit(s) + w m                                                                                  (3)
 
-with `STEADY_RAD` for A and `RESTLESS_RAD` for B. A lamp in sight moves steadily, too: its score stays as it is, and so
-does that of a light that was detected no more than twice.
+A lamp in sight moves steadily, too: its score stays as it is, and so does that of a light that was detected no more
+than twice.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -28,31 +32,34 @@ MAX_DIRECT = 0.5
 """Light that is more likely to be a lamp in sight than this is no light on something."""
 
 
-def surprises_rad(residuals_px: Floats, focal_px: float, num_frames: Floats) -> Floats:
-    """The angle in each frame, shape (M,), by which lights were elsewhere than expected; NaN where nothing is known.
+def restlessness(residuals_px: Floats, focal_px: float, num_frames: Floats) -> Floats:
+    """The q of (2), shape (M,); NaN where a residual is.
 
     Args:
         residuals_px: Shape (M,), measured less expected centre x.
         focal_px: Focal length.
         num_frames: Shape (M,), frame periods since the previous detection; less than one counts as one.
+
+    >>> restlessness(np.array([-1.0, 2.5, 4.0, 99.0, np.nan]), 1000.0, np.ones(5)).round(2).tolist()
+    [0.0, 0.52, 1.0, 1.0, nan]
     """
-    return np.asarray(np.abs(residuals_px) / (focal_px * np.maximum(num_frames, 1.0)))  # in (1)
+    angles_rad = np.abs(residuals_px) / (focal_px * np.maximum(num_frames, 1.0))  # (1)
+    limited_rad = np.minimum(np.maximum(angles_rad, STEADY_RAD), RESTLESS_RAD)
+    return np.asarray(np.log(limited_rad / STEADY_RAD) / math.log(RESTLESS_RAD / STEADY_RAD))  # (2)
 
 
-def scores_of_restless(scores: Floats, restlessness_rad: Floats, direct: Floats, weight: float) -> Floats:
-    """The scores of (2), shape (M,): each unchanged where the restlessness is NaN, and that of a lamp in sight.
+def scores_of_restless(scores: Floats, restless: Floats, direct: Floats, weight: float) -> Floats:
+    """The scores of (3), shape (M,): each unchanged where the restlessness is NaN, and that of a lamp in sight.
 
     Args:
         scores: Shape (M,); NaN stays NaN.
-        restlessness_rad: Shape (M,).
+        restless: Shape (M,), the m of (3).
         direct: Shape (M,), probability of a lamp in sight; NaN where unknown, which counts as none.
-        weight: The w of (2).
+        weight: The w of (3).
 
-    >>> restless = np.array([0.001, 0.004, np.nan, 0.01])
-    >>> scores_of_restless(np.full(4, 0.5), restless, np.array([0.1, 0.1, 0.1, 0.9]), np.log(3.0)).round(3).tolist()
+    >>> restless, direct = np.array([0.0, 1.0, np.nan, 1.0]), np.array([0.1, 0.1, 0.1, 0.9])
+    >>> scores_of_restless(np.full(4, 0.5), restless, direct, np.log(3.0)).round(3).tolist()
     [0.5, 0.75, 0.5, 0.5]
     """
-    is_light = ~(np.isnan(restlessness_rad) | (direct > MAX_DIRECT))
-    known_rad = np.where(is_light, np.clip(restlessness_rad, STEADY_RAD, RESTLESS_RAD), STEADY_RAD)
-    odds = np.exp(weight * np.log(known_rad / STEADY_RAD) / np.log(RESTLESS_RAD / STEADY_RAD))  # (2)
-    return np.asarray(scores * odds / (scores * odds + (1.0 - scores)))
+    odds = np.exp(weight * np.where(np.isnan(restless) | (direct > MAX_DIRECT), 0.0, restless))
+    return np.asarray(scores * odds / (scores * odds + (1.0 - scores)))  # (3)

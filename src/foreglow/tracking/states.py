@@ -35,7 +35,7 @@ class TrackStates:
         light_kinds: Shape (M, 4), filtered; NaN where unknown.
         found_px: Shape (M,), centre x of the latest detection, as it was measured; NaN where nobody asks.
         drifts_pxps: Shape (M,), its rate from the detection before, pixels per second; NaN where there is none.
-        restlessness_rad: Shape (M,), see `foreglow.tracking.restlessness`; NaN before the third detection.
+        restless: Shape (M,), how restless the light is, 0 to 1 (`restlessness`); NaN before the third detection.
         num_hits: Shape (M,), detections so far.
         num_misses: Shape (M,), frames in a row without a detection.
         births_s: Shape (M,), time of the first detection.
@@ -56,7 +56,7 @@ class TrackStates:
     light_kinds: Floats
     found_px: Floats
     drifts_pxps: Floats
-    restlessness_rad: Floats
+    restless: Floats
     num_hits: NDArray[np.int64]
     num_misses: NDArray[np.int64]
     births_s: Floats
@@ -96,7 +96,7 @@ def unmeasured(ids: NDArray[np.int64], now_s: float, history_size: int, memory_s
         light_kinds=np.full((count, len(LIGHT_KINDS)), np.nan),
         found_px=np.full(count, np.nan),
         drifts_pxps=np.full(count, np.nan),
-        restlessness_rad=np.full(count, np.nan),
+        restless=np.full(count, np.nan),
         num_hits=np.zeros(count, np.int64),
         num_misses=np.zeros(count, np.int64),
         births_s=np.full(count, now_s),

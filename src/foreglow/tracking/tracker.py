@@ -24,7 +24,7 @@ from foreglow.tracking.confirmation import CONFIRMATIONS, Observations, scores_w
 from foreglow.tracking.interface import Tracker
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
-from foreglow.tracking.restlessness import scores_of_restless, surprises_rad
+from foreglow.tracking.restlessness import restlessness, scores_of_restless
 from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
 from foreglow.tracking.track_range import (
     RANGE_RATE_SIGMA_MPS,
@@ -185,8 +185,8 @@ class AlphaBetaTracker(Tracker):
         focal_px = float(frame.width_px if frame.camera is None else frame.camera.focal_px[0])
         since_s = self._now_s - states.measured_s[:, 0]
         moved_px = found_px - states.found_px
-        surprises = surprises_rad(moved_px - states.drifts_pxps * since_s, focal_px, since_s * self._config.rate_hz)
-        states.restlessness_rad = moving_mean(states.restlessness_rad, surprises, self._config.alpha_confidence)
+        newest = restlessness(moved_px - states.drifts_pxps * since_s, focal_px, since_s * self._config.rate_hz)
+        states.restless = moving_mean(states.restless, newest, self._config.alpha_confidence)
         states.drifts_pxps = np.where(np.isnan(moved_px), states.drifts_pxps, moved_px / since_s)
         states.found_px = np.where(np.isnan(found_px), states.found_px, found_px)
 
@@ -220,7 +220,7 @@ class AlphaBetaTracker(Tracker):
         weight = self._config.restless_evidence
         if not weight:
             return taken
-        return scores_of_restless(taken, states.restlessness_rad, direct_of_kinds(states.light_kinds), weight)
+        return scores_of_restless(taken, states.restless, direct_of_kinds(states.light_kinds), weight)
 
     def _confirm(self, scores: Floats) -> None:
         """Updates which tracks are plausible, each by itself."""
