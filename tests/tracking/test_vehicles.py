@@ -43,8 +43,8 @@ def running(score: float, steps: int) -> list[Rows]:
 
 def test_light_that_jumps_stays_the_same_vehicle_and_adds_up() -> None:
     config = OURS.model_copy(update={"vehicle_gate": 2.0})
-    assert all((tracks.states == TrackState.TENTATIVE).all() for tracks in followed(*running(0.5, 4), config=ALONE))
-    tracks = followed(*running(0.5, 4), config=config)[-1]
+    assert all((tracks.states == TrackState.TENTATIVE).all() for tracks in followed(*running(0.55, 4), config=ALONE))
+    tracks = followed(*running(0.55, 4), config=config)[-1]
     assert len(tracks) > 1
     assert vehicles_of(tracks).ids.tolist() == [0]
     assert vehicles_of(tracks).states.tolist() == [TrackState.CONFIRMED]

@@ -223,6 +223,8 @@ class TrackerConfig(FrozenModel):
         company_evidence: Additional ratio that a second track needs near a plausible one (`evidence`).
         company_s: A track that was plausible so recently counts as a plausible one there (`evidence`).
         range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none.
+        restless_evidence: Weight of how restless a light is as evidence for a vehicle beside the score, if it is no
+            lamp in sight; 0 for none.
         vehicle_gate: Tracks whose boxes are at most so far apart, in units of their size, belong to one vehicle, and
             vehicles are confirmed instead of tracks; 0 for tracks alone.
 
@@ -260,6 +262,7 @@ class TrackerConfig(FrozenModel):
     company_evidence: Annotated[float, Field(ge=0, le=20)] = 5.0
     company_s: Annotated[float, Field(ge=0, le=60)] = 2.0
     range_evidence: Annotated[float, Field(ge=0, le=10)] = 0.0
+    restless_evidence: Annotated[float, Field(ge=0, le=10)] = 0.0
     vehicle_gate: Annotated[float, Field(ge=0, le=100)] = 0.0
 
     @model_validator(mode="after")
@@ -286,12 +289,13 @@ OUR_TRACKER = TrackerConfig(
     compensate_yaw=True,
     max_misses=6,
     confirmation="evidence",
-    neutral_score=0.54,
+    neutral_score=0.8,
     confirm_evidence=1.0,
     range_evidence=2.0,
+    restless_evidence=1.5,
     vehicle_gate=1.0,
 )
-"""Chosen on validation drives, as decisions 8 and 18 describe."""
+"""Chosen on validation drives, as decisions 8, 18 and 24 describe."""
 
 
 class LiveConfig(FrozenModel):

@@ -33,6 +33,9 @@ class TrackStates:
         sigma_history: Shape (M, H), their standard deviations.
         confidences: Shape (M,), the filtered score.
         light_kinds: Shape (M, 4), filtered; NaN where unknown.
+        found_px: Shape (M,), centre x of the latest detection, as it was measured; NaN where nobody asks.
+        drifts_pxps: Shape (M,), its rate from the detection before, pixels per second; NaN where there is none.
+        restless: Shape (M,), how restless the light is, 0 to 1 (`restlessness`); NaN before the third detection.
         num_hits: Shape (M,), detections so far.
         num_misses: Shape (M,), frames in a row without a detection.
         births_s: Shape (M,), time of the first detection.
@@ -51,6 +54,9 @@ class TrackStates:
     sigma_history: Floats
     confidences: Floats
     light_kinds: Floats
+    found_px: Floats
+    drifts_pxps: Floats
+    restless: Floats
     num_hits: NDArray[np.int64]
     num_misses: NDArray[np.int64]
     births_s: Floats
@@ -88,6 +94,9 @@ def unmeasured(ids: NDArray[np.int64], now_s: float, history_size: int, memory_s
         sigma_history=history,
         confidences=np.full(count, np.nan),
         light_kinds=np.full((count, len(LIGHT_KINDS)), np.nan),
+        found_px=np.full(count, np.nan),
+        drifts_pxps=np.full(count, np.nan),
+        restless=np.full(count, np.nan),
         num_hits=np.zeros(count, np.int64),
         num_misses=np.zeros(count, np.int64),
         births_s=np.full(count, now_s),

@@ -24,6 +24,7 @@ from foreglow.tracking.confirmation import CONFIRMATIONS, Observations, scores_w
 from foreglow.tracking.interface import Tracker
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
+from foreglow.tracking.restlessness import restlessness, scores_of_restless
 from foreglow.tracking.states import RANGE, SIZES, TrackStates, unmeasured
 from foreglow.tracking.track_range import (
     RANGE_RATE_SIGMA_MPS,
@@ -34,6 +35,7 @@ from foreglow.tracking.track_range import (
 )
 from foreglow.tracking.vehicles import VehicleGroups
 from foreglow.types import MIN_STEP_S, Detections, Frame, Ranges, Tracks, TrackState, Vehicles
+from foreglow.types.kinds import direct_of_kinds
 
 MIN_SIZE_PX = 1.0
 """Predicted boxes never become smaller than this."""
@@ -103,7 +105,10 @@ class AlphaBetaTracker(Tracker):
             beginning = np.flatnonzero(is_free)
             self._states = self._states.joined(self._born(len(beginning)))
             assigned = np.concatenate([assigned, beginning])
-        self._correct(self._with_looming(found.taken(assigned), frame), step_s)
+        taken = self._with_looming(found.taken(assigned), frame)
+        if self._config.restless_evidence:
+            self._watch(taken, frame)
+        self._correct(taken, step_s)
         scores = self._scores(detections, ranges)
         if self._vehicles is None:
             self._confirm(scores)
@@ -112,7 +117,7 @@ class AlphaBetaTracker(Tracker):
         boxes_xyxy_px = corners(states.values)
         if self._vehicles is not None:
             states.is_plausible, vehicles = self._vehicles.update(
-                self._now_s, states, boxes_xyxy_px, scores[states.detections]
+                self._now_s, states, boxes_xyxy_px, self._evidence(scores)
             )
         self._tracks = self._as_tracks(states, boxes_xyxy_px, vehicles)
         return self._tracks
@@ -174,6 +179,17 @@ class AlphaBetaTracker(Tracker):
         values[is_taken, RANGE] = ranges_m[is_taken]
         return dataclasses.replace(taken, values=values, sigmas_m=np.where(is_taken, sigmas_m, taken.sigmas_m))
 
+    def _watch(self, taken: Measurements, frame: Frame) -> None:
+        """Updates how restless each light is; without a camera, as if the image were 53 degrees wide, as PVDN's is."""
+        states, found_px = self._states, taken.values[:, 0]
+        focal_px = float(frame.width_px if frame.camera is None else frame.camera.focal_px[0])
+        since_s = self._now_s - states.measured_s[:, 0]
+        moved_px = found_px - states.found_px
+        newest = restlessness(moved_px - states.drifts_pxps * since_s, focal_px, since_s * self._config.rate_hz)
+        states.restless = moving_mean(states.restless, newest, self._config.alpha_confidence)
+        states.drifts_pxps = np.where(np.isnan(moved_px), states.drifts_pxps, moved_px / since_s)
+        states.found_px = np.where(np.isnan(found_px), states.found_px, found_px)
+
     def _correct(self, taken: Measurements, step_s: float) -> None:
         """Corrects each track by its measurement."""
         states = self._states
@@ -198,11 +214,19 @@ class AlphaBetaTracker(Tracker):
             scores = scores_with_ranges(scores, ranges.ranges_m, self._config.range_evidence)
         return np.append(scores, np.nan)
 
+    def _evidence(self, scores: Floats) -> Floats:
+        """Of the scores of all detections, that of each track's, shape (M,), as evidence; NaN where it was missed."""
+        states, taken = self._states, scores[self._states.detections]
+        weight = self._config.restless_evidence
+        if not weight:
+            return taken
+        return scores_of_restless(taken, states.restless, direct_of_kinds(states.light_kinds), weight)
+
     def _confirm(self, scores: Floats) -> None:
         """Updates which tracks are plausible, each by itself."""
         states = self._states
         observed = Observations(
-            scores=scores[states.detections],
+            scores=self._evidence(scores),
             num_hits=states.num_hits,
             confidences=states.confidences,
             was_plausible=states.is_plausible,

@@ -33,6 +33,9 @@ from foreglow.types.kinds import direct_of_kinds
 KEEP_S = 0.6
 """A vehicle is remembered, with the places of its light, for so long after its last track has ended."""
 
+MIN_OWN_CONFIDENCE = 0.5
+"""A track of a confirmed vehicle that does not lead it is plausible if its own confidence is above this."""
+
 MAX_LIGHTS = 1024
 """Of more tracks, those that have ended are forgotten at once, the first ones first."""
 
@@ -84,7 +87,7 @@ class VehicleGroups:
     """The vehicles of a tracker's tracks, frame by frame."""
 
     def __init__(self, config: TrackerConfig) -> None:
-        self._gate, self._neutral_score = config.vehicle_gate, config.neutral_score
+        self._gate = config.vehicle_gate
         self._alpha_confidence = config.alpha_confidence
         self._rule = CONFIRMATIONS[config.confirmation](config)
         self.reset()
@@ -129,7 +132,7 @@ class VehicleGroups:
         states.memory, states.is_plausible = self._rule.update(states.memory, observed)
         if states.is_plausible.any():
             self._plausible_s = now_s
-        is_light = tracks.confidences > self._neutral_score
+        is_light = tracks.confidences > MIN_OWN_CONFIDENCE
         is_confirmed = states.is_plausible[vehicles]
         is_lamp = is_confirmed & (direct_of_kinds(tracks.light_kinds) > 0.5)
         leading = _leading(vehicles, tracks.values[:, RANGE], is_light, is_lamp)
