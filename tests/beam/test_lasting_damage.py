@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.image_faults import CODINGS, NUM_GOOD, Coding, as_coded, faults_of
-from foreglow.beam.camera_watch import NUM_UNKNOWN
+from benchmarks.image_faults import CODINGS, NUM_GOOD, RATE_HZ, Coding, as_coded, faults_of
+from foreglow.beam.camera_watch import NUM_UNKNOWN, CameraWatch
 from foreglow.beam.faults import GuardFault
+from foreglow.config import GuardConfig
 from foreglow.types import Image
 from tests.beam.watched import road_ahead, with_noise
 
@@ -113,6 +114,53 @@ def test_damage_that_arrives_with_another_size(images: list[Image], damage: str)
         else:
             DAMAGES[damage](image, small[0], np.broadcast_to(part, image.shape))
     assert all(faults_of([*images[:NUM_GOOD], *small])[NUM_GOOD:])
+
+
+@pytest.mark.parametrize("damage", ["black", "rows repeated"])
+def test_damage_that_arrives_with_another_size_and_lasts(images: list[Image], damage: str) -> None:
+    small = smaller(images[NUM_GOOD:])
+    for image in small[1:]:
+        if damage == "black":
+            image[:, : WIDTH // 4] = 0
+        else:
+            image[1::2] = image[::2]
+    assert all(faults_of([*images[:NUM_GOOD], *small])[NUM_GOOD:])
+
+
+# After a pause
+
+
+@pytest.mark.parametrize("num_before", [0, 1, 3])
+@pytest.mark.parametrize("pause_s", [1.0, 11.0, 3600.0])
+@pytest.mark.parametrize("damage", ["black", "stuck", "rows repeated"])
+def test_a_pause_makes_no_damage_usual(images: list[Image], damage: str, pause_s: float, num_before: int) -> None:
+    watch = CameraWatch(GuardConfig())
+    found = []
+    for number, good in enumerate(images):
+        image = good.copy()
+        if number >= NUM_GOOD:
+            if damage == "rows repeated":
+                image[1::2] = image[::2]
+            else:
+                DAMAGES[damage](image, images[NUM_GOOD - 1], PLACES["left"] < 0.7)
+        paused_s = pause_s if number >= NUM_GOOD + num_before else 0.0
+        found.append(watch.faults(image, round((number / RATE_HZ + paused_s) * 1e9), is_moving=True))
+    assert not any(found[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in each for each in found[NUM_GOOD + num_before + 1 :])
+
+
+@pytest.mark.parametrize("step_s", [-11.0, -0.3, -0.07, 0.3, 11.0])
+@pytest.mark.parametrize("num_wrong", [1, NUM_IMAGES])
+@pytest.mark.parametrize("damage", ["black", "stuck"])
+def test_wrong_times_make_no_damage_usual(images: list[Image], damage: str, num_wrong: int, step_s: float) -> None:
+    watch = CameraWatch(GuardConfig())
+    wrong = damaged(images[NUM_GOOD:], damage, "left", [0.6] * (NUM_IMAGES - NUM_GOOD))
+    found = []
+    for number, image in enumerate([*images[:NUM_GOOD], *wrong]):
+        stray_s = step_s if NUM_GOOD + 4 <= number < NUM_GOOD + 4 + num_wrong else 0.0
+        found.append(watch.faults(image, round((100 + number / RATE_HZ + stray_s) * 1e9), is_moving=True))
+    assert not any(found[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in each for each in found[NUM_GOOD + 2 :])
 
 
 # From the first image on

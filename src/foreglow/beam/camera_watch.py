@@ -52,6 +52,9 @@ NUM_FRESH = 3
 """The camera is alive where the noise is new in each of so many images: while it is frozen, more than `FRESH_SHARE` of
 the samples change in single key frames only."""
 
+LONGEST_STEP_NS = 200_000_000
+"""Of a longer pause only so much counts: nothing is seen meanwhile, and a wrong time ends no fault."""
+
 NUM_UNKNOWN = 40
 """After so many images of another size or type all is found that shows from the first image on."""
 
@@ -76,6 +79,8 @@ class CameraWatch:
         self._brightest = 0
         self._format: tuple[object, ...] | None = None
         self._num_unknown = 0
+        self._before_ns: int | None = None
+        self._time_ns = 0
         self._known_images.reset()
         self._comparer.reset()
         self._pieces.reset()
@@ -95,6 +100,7 @@ class CameraWatch:
             is_damaged: Whether the source says that it is.
         """
         faults = []
+        self._tick(timestamp_ns)
         if self._is_resized(image):
             faults.append(GuardFault.RESIZED)
         step = _prime(math.isqrt(image.size // NUM_SAMPLES))
@@ -117,7 +123,7 @@ class CameraWatch:
         known = self._known_images.update(rows)
         has_old_parts = self._damage.has_old_parts(known)
         is_frozen = self._stillness.update(
-            change, timestamp_ns, is_moving, is_repeated=known.is_repeated, has_old_parts=has_old_parts
+            change, self._time_ns, is_moving, is_repeated=known.is_repeated, has_old_parts=has_old_parts
         )
         if pieces.is_noise or not known.is_repeated:
             self._num_noise = self._num_noise + 1 if pieces.is_noise else 0
@@ -128,7 +134,7 @@ class CameraWatch:
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
             is_damaged |= self._damage.update(
-                change, pieces, one_value, known, timestamp_ns, is_still=is_still, is_moving=is_moving
+                change, pieces, one_value, known, self._time_ns / 1e9, is_still=is_still, is_moving=is_moving
             )
             if not is_damaged:
                 self._comparer.keep()
@@ -139,6 +145,12 @@ class CameraWatch:
         if is_black:
             faults.append(GuardFault.BLACK)
         return faults
+
+    def _tick(self, timestamp_ns: int) -> None:
+        """Moves our own clock on: by no more than is seen between two images, and never back."""
+        elapsed_ns = 0 if self._before_ns is None else timestamp_ns - self._before_ns
+        self._before_ns = timestamp_ns
+        self._time_ns += min(max(elapsed_ns, 0), LONGEST_STEP_NS)
 
     def _is_resized(self, image: Image) -> bool:
         """Whether the images have had another size or type until now, or until just before."""

@@ -6,6 +6,7 @@ Each constant says what of an image is damage, beside the recent images, and wha
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 from collections import deque
 from collections.abc import Sequence
@@ -30,7 +31,7 @@ FRESH_SHARE = 0.4
 """Noise is new where more of the samples than this have changed. Measured: raw, MJPEG and 8 Mbit/s above .65 when
 moving; frozen below .35, but for single key frames."""
 
-NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 5.0
+NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 6.0
 """Damage: more new edges on the encoder's grid than this, by both measures."""
 
 REPEATED_SHARE, NOISY_REPEATED_SHARE = 0.4, 0.2
@@ -42,10 +43,10 @@ FLAT_SHARE = 0.25
 """Damage: so many more rows of a single value than in any of the recent images. Measured: 0 in moving images, but where
 it suddenly becomes dark in one of 320x240 at 0.045 bits a pixel, which may be taken for damage; missing halves .4."""
 
-FLAT_PIECES_SHARE, NOISY_FLAT_SHARE = 0.04, 0.02
-"""Damage: in two images more pieces of rows of a single value than this, where no recent image had more than
-the second number: each had noise. Measured: such streams rise by .006 at most in one image when moving; where noise is
-not transmitted, dark areas are flat without any damage."""
+FLAT_PIECES_SHARE, NOISY_FLAT_SHARE, NOISY_CHANGED_SHARE = 0.04, 0.02, 0.35
+"""Damage: in two images more pieces of rows of a single value than this, where no usual image had more than the second
+number, and in half of them more samples changed than the third: they had noise. Measured: such streams rise by .006 at
+most in one image when moving; where noise is not transmitted, dark areas are flat without any damage."""
 
 PAIR_SHARES = np.array([[0.85], [0.5]])
 """Damage: in two images in a row, both `pair_ratios` of pairs of rows are below these shares of the least recent ones.
@@ -59,11 +60,15 @@ decoder or a driver fills only a part of an old buffer. Pieces of a single value
 that ships, raw, MJPEG, 8 Mbit/s, and at a quarter of its light; .6 in single images at 1 Mbit/s, for which little is
 sent."""
 
+RAW_SHARE = 0.7
+"""Where more samples than this change in half of the usual images, they may be those of the image just before, too."""
+
 TWO_WITHIN_S = 0.5
 """Two images of those that are damage only if there are two of a kind: intact ones may come between."""
 
-ROUGH_SHARE = 0.1
-"""Damage: so many more pieces of rows than in any of the recent images are noise far above a camera's."""
+ROUGH_SHARE, SMOOTH_SHARE = 0.1, 0.02
+"""Damage: so many more pieces of rows than in any of the recent images are noise far above a camera's. Two images are
+enough for that where none had more than the second number."""
 
 TWICE_SHARE = 0.2
 """Damage: so many rows show their left half once more at the right. Noise makes no two halves alike."""
@@ -94,10 +99,10 @@ DAMAGE_HOLD_S = 0.5
 RELEARN_S = 10.0
 """What is unusual for longer than this is how the scene is; what is usual is learnt anew."""
 
-LONG_SAME_SHARE, KNOWN_AGAIN_SHARE, FILLED_SHARE, LONG_ROUGH_SHARE, NUM_NEVER = 0.1, 0.1, 0.1, 0.2, 3
+LONG_SAME_SHARE, KNOWN_AGAIN_SHARE, FILLED_SHARE, WILD_SHARE, NUM_NEVER = 0.1, 0.1, 0.1, 0.2, 3
 """Damage, whatever was usual: in so many images in a row with new noise, more than these shares of the textured samples
 have not changed for long, or of the pieces of rows are known, or grey and of one value; or, with new noise or not, are
-rough. Measured in intact images with new noise: .014, .05, 0 and .02 at most."""
+wild. Measured in intact images with new noise: .014, .05 and 0 at most, and wild 0."""
 
 NOISE_DEVIATION, NOISY_SHARE = 0.04, 0.2
 """An image has new noise where of its samples, but for filled ones, the second share is textured, and of these the
@@ -113,14 +118,13 @@ class ImageDamage:
     """
 
     def __init__(self) -> None:
-        self._usual_ns: int | None = None
-        self._had_old_parts = False
         self.reset()
 
     def reset(self) -> None:
         """Forgets the images so far."""
         self._forget()
-        self._damaged_ns: int | None = None
+        self._damaged_s = -math.inf
+        self._before_s = 0.0
         self._num_never = 0
 
     def update(
@@ -129,7 +133,7 @@ class ImageDamage:
         pieces: PieceMeasures,
         one_value: float,
         known: KnownParts,
-        timestamp_ns: int,
+        time_s: float,
         *,
         is_still: bool,
         is_moving: bool | None,
@@ -141,7 +145,7 @@ class ImageDamage:
             pieces: What the pieces of its rows say.
             one_value: Share of the image with one and the same value.
             known: What of the image was there before.
-            timestamp_ns: The time of the image.
+            time_s: The time of the image, by a clock that never goes back.
             is_still: Whether the image as a whole is like the one before, so that no part of it can be stuck.
             is_moving: Whether our vehicle moves so fast that every part of an image must change; None if not known.
         """
@@ -149,38 +153,39 @@ class ImageDamage:
             self._forget_changes()
         else:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
-            is_unusual = self._has_unusual_content(change, pieces, one_value, timestamp_ns)
+            is_unusual = self._has_unusual_content(change, pieces, one_value, time_s)
             is_unusual |= self._is_never_so(change, pieces, known, is_still=is_still or is_moving is False)
             if not is_still:
-                had_old_parts, self._had_old_parts = self._had_old_parts, self.has_old_parts(known)
-                has_earlier = self._had_old_parts and known.share_earlier > KNOWN_SHARE
-                is_unusual |= self._earlier_twice.update(has_earlier, timestamp_ns)
-                is_unusual |= (
-                    self._has_stuck_tiles(change)
-                    or self._has_stuck_samples(change)
-                    or (had_old_parts and self._had_old_parts)
-                )
+                has_old_parts, had_old_parts = self.has_old_parts(known), self._old_parts.is_latest
+                has_earlier = has_old_parts and (known.share_earlier > KNOWN_SHARE or self._is_raw())
+                is_unusual |= self._earlier_parts.update(has_earlier, time_s)
+                is_unusual |= self._has_stuck_tiles(change) or self._has_stuck_samples(change)
+                is_unusual |= self._old_parts.update(has_old_parts, time_s) and had_old_parts
             if is_unusual or has_edges:
-                self._damaged_ns = timestamp_ns
+                self._damaged_s = time_s
             if not (is_unusual or is_still):
-                self._learn(change, pieces, one_value, known, timestamp_ns)
-                self._usual_ns = timestamp_ns
-            elif self._usual_ns is None or not 0 <= timestamp_ns - self._usual_ns <= RELEARN_S * 1e9:
-                self._forget()
-        return self._damaged_ns is not None and 0 <= timestamp_ns - self._damaged_ns <= DAMAGE_HOLD_S * 1e9
+                self._learn(change, pieces, one_value, known, time_s)
+                self._unusual_s = 0.0
+            else:
+                self._unusual_s += time_s - self._before_s
+                if self._unusual_s > RELEARN_S:
+                    self._forget()
+        self._before_s = time_s
+        return time_s - self._damaged_s <= DAMAGE_HOLD_S
 
     def _forget(self) -> None:
         """Forgets what is usual."""
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat: deque[float] = deque(maxlen=NUM_RECENT)
-        self._flat_pieces: deque[float] = deque(maxlen=NUM_OLDER)
+        self._flat_pieces: deque[tuple[float, float]] = deque(maxlen=NUM_OLDER)
         self._flat_twice = _Twice()
-        self._rough: deque[float] = deque(maxlen=NUM_RECENT)
+        self._rough: deque[float] = deque(maxlen=NUM_OLDER)
         self._one_value: deque[float] = deque(maxlen=NUM_RECENT)
         self._known_shares: deque[float] = deque(maxlen=NUM_OLDER)
-        self._had_old_parts = False
-        self._earlier_twice: _Twice = _Twice()
-        self._single_share: float | None = None
+        self._old_parts: _Twice = _Twice()
+        self._earlier_parts: _Twice = _Twice()
+        self._is_single, self._num_since_single = False, NUM_RECENT
+        self._unusual_s = 0.0
         self._forget_changes()
 
     def _forget_changes(self) -> None:
@@ -191,28 +196,34 @@ class ImageDamage:
         self._changes: deque[ImageChange] = deque(maxlen=NUM_OLDER + 1)
         self._tile_shares: deque[NDArray[np.float64]] = deque(maxlen=NUM_RECENT)
         self._could_be_stuck: NDArray[np.bool_] = np.array(False)
-        self._usual_ns = None
+
+    def _is_raw(self) -> bool:
+        """Whether nearly all of each usual image has new noise, so that no encoder leaves out parts of the change."""
+        usual = _older(self._changes)
+        return len(usual) == NUM_RECENT and statistics.median(each.share_changed for each in usual) > RAW_SHARE
 
     def has_old_parts(self, known: KnownParts) -> bool:
         """Whether parts of the image, but not all of it, were there before, although every image had new noise."""
         older = _older(self._known_shares)
         is_noisy = len(older) == NUM_RECENT and max(older) <= NOISY_KNOWN_SHARE
+        is_noisy &= self._num_since_single >= NUM_RECENT
         return is_noisy and not known.is_repeated and known.share > KNOWN_SHARE
 
-    def _has_unusual_content(
-        self, change: ImageChange, pieces: PieceMeasures, one_value: float, timestamp_ns: int
-    ) -> bool:
+    def _has_unusual_content(self, change: ImageChange, pieces: PieceMeasures, one_value: float, time_s: float) -> bool:
         """Whether the image itself is not as recent ones are, or the second one where one may be so by chance."""
         is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE) or pieces.share_twice > TWICE_SHARE
         if len(self._repeated) >= 2:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
-            is_unusual |= pieces.share_rough > max(self._rough) + ROUGH_SHARE
+            most = max(_older(self._rough))
+            is_known = len(self._rough) >= NUM_RECENT or most <= SMOOTH_SHARE
+            is_unusual |= is_known and pieces.share_rough > most + ROUGH_SHARE
         older = _older(self._flat_pieces)
-        is_noisy = len(older) == NUM_RECENT and max(older) <= NOISY_FLAT_SHARE
+        is_noisy = len(older) == NUM_RECENT and max(flat for flat, _ in older) <= NOISY_FLAT_SHARE
+        is_noisy = is_noisy and statistics.median(changed for _, changed in older) > NOISY_CHANGED_SHARE
         has_flat = is_noisy and change.share_flat_pieces > NOISY_FLAT_SHARE + FLAT_PIECES_SHARE
-        is_unusual |= self._flat_twice.update(has_flat, timestamp_ns)
+        is_unusual |= self._flat_twice.update(has_flat, time_s)
         had_pairs, self._has_pairs = self._has_pairs, False
         if len(self._pair_ratios) == NUM_RECENT:
             are_fallen = change.pair_ratios < PAIR_SHARES * np.minimum.reduce(list(self._pair_ratios))
@@ -231,7 +242,7 @@ class ImageDamage:
             or known.share > KNOWN_AGAIN_SHARE
             or pieces.share_filled > FILLED_SHARE
         )
-        is_so |= pieces.share_rough > LONG_ROUGH_SHARE
+        is_so |= pieces.share_wild > WILD_SHARE
         self._num_never = self._num_never + 1 if is_so else 0
         return self._num_never >= NUM_NEVER
 
@@ -258,7 +269,7 @@ class ImageDamage:
         return self._is_stuck
 
     def _learn(
-        self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts, timestamp_ns: int
+        self, change: ImageChange, pieces: PieceMeasures, one_value: float, known: KnownParts, time_s: float
     ) -> None:
         """Counts an image as usual, but for what would be damage in two images."""
         self._repeated.append(change.share_repeated)
@@ -266,15 +277,15 @@ class ImageDamage:
         self._rough.append(pieces.share_rough)
         self._one_value.append(one_value)
         self._changes.append(change)
-        if self._had_old_parts:  # of a fault the first; of an encoder that sends next to nothing of some images, alone
-            self._single_share = known.share
+        if self._old_parts.is_latest:  # of a fault the first; where an encoder sends next to nothing of an image, alone
+            self._is_single = True
         else:
             self._known_shares.append(known.share)
-            if self._single_share is not None and not self._earlier_twice.waits(timestamp_ns):
-                self._known_shares.append(self._single_share)
-                self._single_share = None
+            self._num_since_single += 1
+            if self._is_single and not self._earlier_parts.waits(time_s):
+                self._is_single, self._num_since_single = False, 0
         if not self._flat_twice.is_latest:
-            self._flat_pieces.append(change.share_flat_pieces)
+            self._flat_pieces.append((change.share_flat_pieces, change.share_changed))
         if not self._has_pairs:
             self._pair_ratios.append(change.pair_ratios)
         if np.count_nonzero(self._could_be_stuck) < NUM_STUCK_TILES:
@@ -290,20 +301,20 @@ class _Twice:
 
     def __init__(self) -> None:
         self.is_latest = False
-        self._before_ns: int | None = None
+        self._before_s: float | None = None
 
-    def update(self, is_so: bool, timestamp_ns: int) -> bool:
+    def update(self, is_so: bool, time_s: float) -> bool:
         """Whether the next image is of the kind, and another one shortly before it was."""
         self.is_latest = is_so
         if not is_so:
             return False
-        is_second = self.waits(timestamp_ns)
-        self._before_ns = timestamp_ns
+        is_second = self.waits(time_s)
+        self._before_s = time_s
         return is_second
 
-    def waits(self, timestamp_ns: int) -> bool:
+    def waits(self, time_s: float) -> bool:
         """Whether there was one of the kind so shortly before that time."""
-        return self._before_ns is not None and 0 < timestamp_ns - self._before_ns <= TWO_WITHIN_S * 1e9
+        return self._before_s is not None and 0 < time_s - self._before_s <= TWO_WITHIN_S
 
 
 def _same_tiles(shares: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -46,6 +46,10 @@ DARK = 0.1
 NEAR_TOP = 0.9
 """A pixel is white from this share of the greatest value on: limited-range video ends at 235 of 255."""
 
+WILD_STEP = 0.2
+"""A piece is wild from this mean difference on: pixels of any value differ by a third in the mean, and in images of a
+simulated dashcam with far too much gain by .15."""
+
 TWICE_CONTRAST = 0.1
 """A row counts as shown twice from this difference of its pixels on, in shares of the greatest value: below, the colour
 filters of a sensor may make a pattern without noise."""
@@ -60,6 +64,7 @@ class PieceMeasures:
         noise: Standard deviation of the noise of a piece's mean, by how much neighbouring pieces differ in the median.
         is_noise: Whether noise alone has changed since the image before.
         share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
+        share_wild: Share of those that do so by several times as much: no camera's noise is so strong.
         share_filled: Share of these pieces of which all pixels have one value, neither dark nor white.
         share_twice: Share of the rows whose right half is the left one, pixel by pixel.
     """
@@ -68,6 +73,7 @@ class PieceMeasures:
     noise: float
     is_noise: bool
     share_rough: float
+    share_wild: float
     share_filled: float
     share_twice: float
 
@@ -104,12 +110,13 @@ class ImagePieces:
                 changes[middle] > max(LEAST_NOISE, DRIFT_RATIO * drift)
                 and changes[strong] < NOISE_RATIO * changes[middle]
             )
-        share_rough, share_filled = _shares_of_steps(rows, top)
+        share_rough, share_wild, share_filled = _shares_of_steps(rows, top)
         return PieceMeasures(
             contrast=float(means.max() - means.min()),
             noise=_noise(means),
             is_noise=is_noise,
             share_rough=share_rough,
+            share_wild=share_wild,
             share_filled=share_filled,
             share_twice=_share_twice(rows, top),
         )
@@ -124,18 +131,19 @@ def _noise(means: Floats) -> float:
     return float(steps[middle]) / MEDIAN_STEP
 
 
-def _shares_of_steps(rows: Image, top: int) -> tuple[float, float]:
-    """Shares of the pieces whose neighbouring pixels differ by far too much, and not at all where they are grey."""
+def _shares_of_steps(rows: Image, top: int) -> tuple[float, float, float]:
+    """Shares of the pieces whose neighbouring pixels differ by `ROUGH_STEP`, `WILD_STEP`, or, if grey, not at all."""
     piece_px = rows.shape[1] // NUM_ROUGH_PIECES
     if piece_px < 2:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     pieces = rows[:, : NUM_ROUGH_PIECES * piece_px].reshape(len(rows), NUM_ROUGH_PIECES, piece_px)
     left, right = pieces[:, :, :-1], pieces[:, :, 1:]
     steps = np.maximum(left, right) - np.minimum(left, right)
     sums, values = steps.sum(axis=2, dtype=np.uint32), pieces[:, :, 0]
     is_filled = (sums == 0) & (values > DARK * top) & (values < NEAR_TOP * top)
-    num_rough = int(np.count_nonzero(sums > ROUGH_STEP * top * (piece_px - 1)))
-    return num_rough / sums.size, int(np.count_nonzero(is_filled)) / sums.size
+    means = sums / (top * (piece_px - 1))
+    num_rough, num_wild, num_filled = map(np.count_nonzero, (means > ROUGH_STEP, means > WILD_STEP, is_filled))
+    return int(num_rough) / sums.size, int(num_wild) / sums.size, int(num_filled) / sums.size
 
 
 def _share_twice(rows: Image, top: int) -> float:
