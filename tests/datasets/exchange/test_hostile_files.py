@@ -91,6 +91,11 @@ FILES = {
         coco(images=[{"id": 1, "file_name": f"{name}.png", "width": 96, "height": 72} for name in "ab"]),
         "images: expected another id for each, got 1 twice",
     ),
+    "outside of a text": (
+        ".xml",
+        video().replace("points='1,2'", "points='1,2' outside='yes'"),
+        "track 0: outside: expected 0 or 1, got 'yes'",
+    ),
     "an annotation twice": (
         ".json",
         coco(annotations=2 * [{"id": 1, "image_id": 1, "category_id": 1, "keypoints": [1.5, 2.5, 2]}]),
