@@ -134,6 +134,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
             be written: for its name, or the folder that it lies in.
     """
     for name, path in files.items():
+        for other, folder in folders.items():
+            if _is_same(path, folder):
+                raise ValueError(f"{name} {path}: expected a file to write, {other} is a folder of that name")
         if path.is_dir():
             raise ValueError(f"{name} {path}: expected a file to write, got a folder")
         for other, read in inputs.items():
