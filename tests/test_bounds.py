@@ -11,10 +11,11 @@ import sys
 import typing
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
-from annotated_types import Le, Lt
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from foreglow.calibration.ros import _File as RosCalibration
@@ -25,6 +26,8 @@ from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.labels.production import ProductionConfig
 from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.writing.lidar import LidarConfig
+from foreglow.lab.simulation.writing.street_data import StreetDataError
 from tests import bounded_reads
 from tests.bombs import BOMBS
 
@@ -90,19 +93,21 @@ def test_every_reader_has_a_bomb() -> None:
     assert {reader for reader, *_ in BOMBS.values()} | {"cluster"} == set(bounded_reads.READERS)
 
 
-def unlimited(annotation: Any, limits: tuple[Any, ...], field: str) -> Iterator[str]:
-    """The whole numbers in a field, and in the models in it, that have no upper limit."""
+def unlimited(annotation: Any, limits: tuple[Any, ...], field: str, kinds: dict[type, bool]) -> Iterator[str]:
+    """The numbers of `kinds` in a field, and in the models in it, that have no upper limit, or no lower one if True."""
     inner = [part for limit in limits for part in (limit.metadata if isinstance(limit, FieldInfo) else [limit])]
-    if annotation is int and not any(isinstance(limit, Le | Lt) for limit in inner):
-        yield field
+    if annotation in kinds:
+        is_limited = any(isinstance(limit, Le | Lt) for limit in inner)
+        if not is_limited or (kinds[annotation] and not any(isinstance(limit, Ge | Gt) for limit in inner)):
+            yield field
     elif isinstance(annotation, type) and issubclass(annotation, FrozenModel):
         for name, known in annotation.model_fields.items():
-            yield from unlimited(known.annotation, tuple(known.metadata), f"{field}.{name}")
+            yield from unlimited(known.annotation, tuple(known.metadata), f"{field}.{name}", kinds)
     else:
         parts = typing.get_args(annotation)
         is_annotated = typing.get_origin(annotation) is typing.Annotated
         for part in parts[:1] if is_annotated else parts:
-            yield from unlimited(part, limits + parts[1:] if is_annotated else limits, field)
+            yield from unlimited(part, limits + parts[1:] if is_annotated else limits, field, kinds)
 
 
 @pytest.mark.parametrize(
@@ -110,4 +115,23 @@ def unlimited(annotation: Any, limits: tuple[Any, ...], field: str) -> Iterator[
     [PipelineConfig, Recipe, Scene, CameraProfile, ProductionConfig, CanMapping, Intrinsics, Mount, RosCalibration],
 )
 def test_every_whole_number_that_a_user_writes_has_an_upper_limit(model: type[FrozenModel]) -> None:
-    assert list(unlimited(model, (), model.__name__)) == []
+    assert list(unlimited(model, (), model.__name__, {int: False})) == []
+
+
+@pytest.mark.parametrize("model", [Scene, CameraProfile, ProductionConfig, StreetDataError, LidarConfig])
+def test_every_number_of_a_simulation_has_both_limits(model: type[FrozenModel]) -> None:
+    assert list(unlimited(model, (), model.__name__, {int: True, float: True})) == []
+
+
+def test_a_number_without_a_limit_is_found() -> None:
+    class Part(FrozenModel):
+        free: tuple[float, Annotated[float, Field(ge=0)]] | None = None
+
+    class Whole(FrozenModel):
+        parts: Annotated[tuple[Part, ...], Field(max_length=3)] = ()
+        count: Annotated[int, Field(le=3)] = 1
+        share: Annotated[float, Field(ge=0, lt=1)] = 0.5
+
+    found = ["w.parts.free", "w.parts.free", "w.count"]
+    assert list(unlimited(Whole, (), "w", {int: True, float: True})) == found
+    assert list(unlimited(Whole, (), "w", {int: False})) == []

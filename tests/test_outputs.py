@@ -53,6 +53,30 @@ def test_no_new_file_in_a_data_set(tmp_path: Path) -> None:
     check_outputs({"DATA": tmp_path / "data"}, {"--json": tmp_path / "new.json"}, {})
 
 
+def test_nothing_lands_in_a_data_set_that_is_not_read(tmp_path: Path) -> None:
+    """An image, and the list of sequences, were overwritten."""
+    split = make_pvdn(tmp_path / "data")
+    for part in ("labels/sequences.json", "labels/new.json", "images/S00003/000001.png", "simulation/x.toml"):
+        with pytest.raises(ValueError, match=r"^--out .*: expected a file that does not lie in a data set$"):
+            check_outputs({}, {"--out": split / part}, {})
+    check_outputs(
+        {}, {"--out": split / "x.json", "--report": split / "labels" / "x.html"}, {"the folder": split / "out"}
+    )
+    (tmp_path / "images").mkdir()  # not beside labels
+    check_outputs({}, {"--out": tmp_path / "images" / "x.png"}, {})
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+def test_a_file_and_a_folder_of_one_name(is_there: bool, tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    if is_there:
+        path.mkdir()
+    with pytest.raises(
+        ValueError, match=rf"^--record {path}: expected a file to write, --out is a folder of that name$"
+    ):
+        check_outputs({}, {"--record": path}, {"--out": path})
+
+
 def test_a_picture_whose_name_nobody_gave(image: Path) -> None:
     """It has that of the calibration, which may be that of an image of the drive."""
     before = image.read_bytes()

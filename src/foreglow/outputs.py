@@ -118,6 +118,8 @@ def running_command() -> str | None:
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
+    No file lies among the images or labels of a data set, whether that is read or not, except for reports.
+
     Nor may a folder hold the results of another command than the running one. What is to be overwritten must be a
     regular file. Only reports (`.html`) may lie beside what they are about, and be written again. That a file can be
     written is found out here, too, not after hours of work.
@@ -132,6 +134,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
             be written: for its name, or the folder that it lies in.
     """
     for name, path in files.items():
+        for other, folder in folders.items():
+            if _is_same(path, folder):
+                raise ValueError(f"{name} {path}: expected a file to write, {other} is a folder of that name")
         if path.is_dir():
             raise ValueError(f"{name} {path}: expected a file to write, got a folder")
         for other, read in inputs.items():
@@ -142,6 +147,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
             is_part = path.suffix != ".html" and _lies_in(path, read)
             if is_part and (_has_split(read) or _is_in_split(path, PARTS_OF_SPLIT)):
                 raise ValueError(f"{name} {path}: expected a file that does not lie in the data set {other} {read}")
+        if path.suffix != ".html" and _is_in_split(path, PARTS_OF_SPLIT):
+            raise ValueError(f"{name} {path}: expected a file that does not lie in a data set")
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
@@ -326,7 +333,10 @@ def _has_split(folder: Path) -> bool:
 
 def _is_in_split(path: Path, parts: Sequence[str]) -> bool:
     """Whether a file or folder lies below one of these parts of a split in PVDN's format."""
-    parents = path.resolve().parents
+    try:
+        parents = path.resolve().parents
+    except (OSError, RuntimeError, ValueError):  # as in `_is_same`
+        return False
     return any(folder.name in parts and _is_split(folder.parent) for folder in parents)
 
 

@@ -45,6 +45,16 @@ def test_other_frames_on_the_bus_are_none_of_its_business() -> None:
     assert not receiver.noticed
 
 
+@pytest.mark.parametrize("kind", [bytearray, memoryview])
+def test_whatever_holds_the_bytes_of_a_frame(kind: type[bytearray | memoryview]) -> None:
+    receiver = LampReceiver()
+    for number in range(4):
+        for frame_id, data in frames_of(number):
+            receiver.receive(arrival(number), frame_id, kind(data))
+    assert brightness(receiver, arrival(3)) == 1
+    assert not receiver.noticed
+
+
 def test_counter_and_time_come_round() -> None:
     receiver = LampReceiver()
     for number in range(1500):  # six times the counter, once the time

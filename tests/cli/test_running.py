@@ -16,8 +16,10 @@ from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.inputs import named_by
 from foreglow.runs.recorded_run import source_of_run
+from foreglow.runs.summary_file import lack_of_run, read_summary
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
+from tests.datasets.bags.bags import images, make_mcap
 from tests.datasets.test_video import make_video
 from tests.shared_data import shared_file
 
@@ -90,6 +92,25 @@ def test_bad_image_among_many(tmp_path: Path, folder: Path, config: Path) -> Non
     summary = json.loads((out / "summary.json").read_text())
     assert (summary["num_frames"], summary["num_skipped"]) == (2, 1)
     assert "000001.png" in summary["skipped"][0]
+
+
+def test_a_run_says_that_parts_of_its_recording_are_lost(tmp_path: Path, config: Path) -> None:
+    path, out, again = make_mcap(tmp_path / "drive.mcap", images(5)), tmp_path / "out", tmp_path / "again"
+    data = path.read_bytes()
+    at = data.index(b"zstd", len(data) // 2) + 100
+    path.write_bytes(data[:at] + data[at + 50 :])
+    result = foreglow_command("run", path, "--out", out, "--config", config, "--on-error", "skip")
+    assert result.exit_code == 0, result.output
+    assert "any number of frames may be missing: parts of the file could not be read" in result.stdout.splitlines()
+    summary = read_summary(out / "summary.json")
+    assert summary.num_lost_parts == summary.num_skipped > 0
+    lack = lack_of_run(out)
+    assert lack is not None
+    assert lack.startswith(f"{out}: frames may be missing from the run, its recording is damaged: {path}: byte ")
+    make_mcap(path, images(5))
+    result = foreglow_command("run", path, "--out", again, "--config", config, "--on-error", "skip")
+    assert "may be missing" not in result.stdout
+    assert (read_summary(again / "summary.json").num_lost_parts, lack_of_run(again)) == (0, None)
 
 
 def test_a_source_whose_name_is_no_utf_8_is_found_again(tmp_path: Path, folder: Path, config: Path) -> None:

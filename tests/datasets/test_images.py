@@ -191,6 +191,16 @@ def test_a_header_that_claims_too_much_allocates_nothing(tmp_path: Path) -> None
         read_image(tmp_path / "a.npy")
 
 
+def test_bytes_behind_an_array_are_not_ignored(tmp_path: Path) -> None:
+    for array in (GREY, np.asfortranarray(GREY)):
+        np.save(tmp_path / "a.npy", array)
+        np.testing.assert_array_equal(read_image(tmp_path / "a.npy"), GREY)
+        with (tmp_path / "a.npy").open("ab") as file:
+            file.write(b"12345")
+        with pytest.raises(ValueError, match=r"a\.npy: expected .* one array, there are 5 bytes behind it"):
+            read_image(tmp_path / "a.npy")
+
+
 def test_a_header_without_a_kind_of_pixels_is_not_for_libpng(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = bytearray(encoded(".png", GREY))
     data[24] = 3  # bits

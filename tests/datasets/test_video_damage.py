@@ -313,3 +313,4 @@ def test_the_lost_rest_of_a_matroska_file_is_told(tmp_path: Path) -> None:
     video = Video(path, on_error="mark")
     assert len(list(video)) == 15
     assert "expected frames until 1.67 s, the stream ends after 0.83 s" in video.skipped[-1]
+    assert video.lost_parts[-1] == video.skipped[-1]

@@ -93,6 +93,23 @@ def test_errors(tmp_path: Path, features: list[Any], message: str) -> None:
     assert "town.geojson" in str(caught.value)
 
 
+def test_coordinates_of_another_system(tmp_path: Path) -> None:
+    path = tmp_path / "town.geojson"
+    for name, is_known in (
+        ("urn:ogc:def:crs:OGC:1.3:CRS84", True),
+        ("EPSG:4326", True),
+        ("urn:ogc:def:crs:EPSG::25832", False),
+        (7, False),
+    ):
+        crs = {"type": "name", "properties": {"name": name}}
+        path.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [line(PLACES)]}))
+        if is_known:
+            assert len(read_road_map(path).lines) == 1
+        else:
+            with pytest.raises(ValueError, match=r"town\.geojson: crs: expected WGS 84 \(CRS84\), or none, got "):
+                read_road_map(path)
+
+
 def test_broken_files(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"town\.geojson: expected JSON: .*line 1"):
         read_text(tmp_path, '{"type": ')

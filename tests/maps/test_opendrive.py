@@ -140,6 +140,11 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
     [
         (road("", 40), "road 7: planView: expected at least one <geometry>"),
         (road(geometry(0, 0, 0, 0, 40, "<poly3/>"), 40), "road 7: geometry: expected line, arc, .*got poly3"),
+        (road(geometry(0, 0, 0, 1e300, 40, "<line/>"), 40), r"road 7: geometry: hdg: .* 1000 rad, got 1e\+300"),
+        (
+            road(geometry(0, 0, 0, 0, 40, '<line/><arc curvature="0.1"/>'), 40),
+            "road 7: geometry: expected one shape, got line, arc",
+        ),
         (
             road(geometry(0, 0, 0, 0, 40, "<arc/>"), 40),
             "road 7: <arc> curvature: expected a finite number, got nothing",

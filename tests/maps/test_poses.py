@@ -104,6 +104,15 @@ def test_errors(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert "drive.csv: " in str(caught.value)
 
 
+@pytest.mark.parametrize(("column", "value"), [("heading_deg", "40000"), ("pitch_deg", "100"), ("roll_deg", "-200")])
+def test_angles_that_cannot_be(column: str, value: str, tmp_path: Path) -> None:
+    columns = ("timestamp_s", "lat_deg", "lon_deg", "heading_deg", "height_m", "pitch_deg", "roll_deg")
+    rows = [dict.fromkeys(columns, "1"), dict.fromkeys(columns, "2") | {column: value}]
+    text = "\n".join([",".join(columns), *(",".join(row.values()) for row in rows), ""])
+    with pytest.raises(ValueError, match=rf"drive\.csv: line 3: {column}: expected -\d+ to \d+ degrees, got {value}"):
+        read_poses(write(tmp_path, text), GeographicOrigin(1.0, 1.0))
+
+
 def test_poses_and_map_must_be_of_one_kind(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"drive\.csv: expected poses with lat_deg, .*as the map is, got x_m"):
         read_poses(write(tmp_path, METRIC), ORIGIN)

@@ -77,7 +77,7 @@ class LampReceiver:
         """Whether the lamps are at low beam because no valid and fresh commands come."""
         return self._taken_ns is None
 
-    def receive(self, arrival_ns: int, frame_id: int, data: bytes) -> None:
+    def receive(self, arrival_ns: int, frame_id: int, data: bytes | bytearray | memoryview) -> None:
         """Takes a frame; frames other than those with levels are ignored.
 
         Raises:
@@ -87,7 +87,7 @@ class LampReceiver:
         if frame_id not in LEVELS_IDS:
             return
         try:
-            message = self._collected(decode_part(frame_id, data))
+            message = self._collected(decode_part(frame_id, bytes(data)))
         except MessageError as error:
             self._notice(error.fault)
             self._num_good = 0

@@ -38,12 +38,12 @@ MAX_FOV_DEG = 170.0
 _Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
 Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
 Side: TypeAlias = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE_PX)]
-_Turn: TypeAlias = Annotated[float, Field(ge=-45, le=45)]
+Turn: TypeAlias = Annotated[float, Field(ge=-45, le=45)]
 """Yaw, pitch or roll: beyond it a camera no longer looks along the road ahead, of which all ranges are, or what is to
 the right of something is no longer to the right in its image."""
 _Sigma: TypeAlias = Annotated[float, Field(ge=0, le=90)]
 
-_Position: TypeAlias = Annotated[
+Position: TypeAlias = Annotated[
     tuple[
         Annotated[float, Field(ge=-30, le=30)],
         Annotated[float, Field(ge=-10, le=10)],
@@ -73,10 +73,10 @@ class Mount(FrozenModel):
         height_sigma_m: Standard deviation of the height above the road.
     """
 
-    position_m: _Position
-    yaw_deg: _Turn
-    pitch_deg: _Turn
-    roll_deg: _Turn
+    position_m: Position
+    yaw_deg: Turn
+    pitch_deg: Turn
+    roll_deg: Turn
     yaw_sigma_deg: _Sigma = 0.0
     pitch_sigma_deg: _Sigma = 0.0
     roll_sigma_deg: _Sigma = 0.0

@@ -295,4 +295,7 @@ def _npy_array(path: Path) -> NDArray[Any]:
         raise ValueError(f"{path}: expected a .npy file with one array, is an archive of arrays")
     if mapped.ndim >= 2:
         check_size(mapped.shape[0], mapped.shape[1], str(path))
+    num_behind = path.stat().st_size - getattr(mapped, "offset", 0) - mapped.nbytes
+    if isinstance(mapped, np.memmap) and num_behind:
+        raise ValueError(f"{path}: expected a .npy file with one array, there are {num_behind} bytes behind it")
     return np.array(mapped)

@@ -71,6 +71,11 @@ class FileSource:
             raise ValueError(message)
         self.skipped.append(message)
 
+    def _lose(self, message: str) -> None:
+        """As `_refuse`, for a part of the file in which there may be any number of frames."""
+        self._refuse(message)
+        self.lost_parts.append(message)
+
     def _read_each(self, reads: Iterable[Callable[[], Frame]]) -> Iterator[Frame]:
         """The frames that `reads` return; a read that raises is noted instead, unless `stop` lets it raise."""
         skipped = self.skipped  # of this iteration, should another begin

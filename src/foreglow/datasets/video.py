@@ -152,7 +152,7 @@ class Video(FileSource):
                     frame = self._frame(index, picture, timestamp_ns, is_damaged=is_damaged)
                     yield dataclasses.replace(frame, sequence=sequence)
         except FFmpegError as error:
-            self._refuse(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
+            self._lose(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
         self._check_end(reached_ns, index + 1)
         if self.skipped:
             return
@@ -160,16 +160,14 @@ class Video(FileSource):
             self._refuse(f"{self.path}: expected a video with at least one frame, none could be decoded")
         # An MP4's sample table is exact; if it is damaged, the demuxer ends early and silently.
         elif self._is_counted and self.num_frames and index + 1 < _LEAST_SHARE * self.num_frames - 2:
-            self._refuse(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
+            self._lose(f"{self.path}: expected about {self.num_frames} frames, the stream ends after {index + 1}")
 
     def _check_end(self, reached_ns: int, num_frames: int) -> None:
         """Refuses a file whose frames end long before the time that it states; its demultiplexer gave up silently."""
         period_ns = max(1_000_000_000 / self._rate if self._rate else 0, reached_ns / max(num_frames, 1))
         if num_frames and not self._truncation and self._stated_end_ns - reached_ns > _FEW_FRAMES * period_ns:
             stated_s, reached_s = self._stated_end_ns / 1e9, reached_ns / 1e9
-            self._refuse(
-                f"{self.path}: expected frames until {stated_s:.2f} s, the stream ends after {reached_s:.2f} s"
-            )
+            self._lose(f"{self.path}: expected frames until {stated_s:.2f} s, the stream ends after {reached_s:.2f} s")
 
     def _frame(self, index: int, picture: Any, timestamp_ns: int, *, is_damaged: bool) -> Frame:
         try:

@@ -35,6 +35,8 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
     if summary.num_skipped:
         listed = "listed in summary.json" if out.is_dir() else f"the first: {summary.skipped[0]}"
         lines.append(f"{summary.num_skipped} skipped as unreadable, {listed}")
+    if summary.num_lost_parts:
+        lines.append("any number of frames may be missing: parts of the file could not be read")
     if is_interrupted:
         lines.append("interrupted: the results are complete up to there")
     if not out.is_dir():

@@ -36,6 +36,7 @@ def read_geojson(path: Path) -> RoadMap:
             have heights, or a width is not that of a road; the message names path and feature.
     """
     document = read_plain_json(path)
+    _check_crs(document, path)
     found = [line for line in _lines(document, str(path)) if len(line[1]) > 1]
     if not found:
         raise ValueError(f"{path}: expected at least one LineString with two points, got none")
@@ -53,6 +54,15 @@ def read_geojson(path: Path) -> RoadMap:
         check_points(points, f"{origin}: coordinates")
         lines.append(CentreLine(points, width_m / 2))
     return RoadMap(lines, earth, has_heights=heights == {3})
+
+
+def _check_crs(document: Any, path: Path) -> None:
+    """Refuses coordinates that are not of WGS 84; before RFC 7946, a member `crs` could say so."""
+    crs = document.get("crs") if isinstance(document, dict) else None
+    properties = crs.get("properties") if isinstance(crs, dict) else None
+    name = properties.get("name") if isinstance(properties, dict) else None
+    if crs is not None and str(name).rpartition(":")[2] not in ("CRS84", "CRS84h", "4326", "4979"):
+        raise ValueError(f"{path}: crs: expected WGS 84 (CRS84), or none, got {shortened(name or crs)}")
 
 
 def _lines(document: Any, origin: str) -> Iterator[tuple[str, Floats, float]]:

@@ -24,6 +24,11 @@ from foreglow.street import LANE_WIDTH_M
 MAX_ROLL_RAD = 1.0
 """The largest superelevation of a road; the steepest of a race track has .6 rad."""
 
+MAX_HEADING_RAD = 1000.0
+"""Of a geometry; far beyond a full turn its sine has no digits left."""
+
+SHAPES = ("line", "arc", "spiral", "paramPoly3")
+
 MAX_GAP_M = 1.0
 """Where a geometry or a road ends by its length, the next one begins, or the road ends, to this. Without the rest of a
 road its last geometry would go on, in a spiral with ever sharper bends."""
@@ -111,6 +116,8 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
         here = slice(*np.searchsorted(numbers, (number, number + 1)))
         begin_m, geometry = geometries[number]
         x, y, heading = (number_of(geometry, name, origin) for name in ("x", "y", "hdg"))
+        if abs(heading) > MAX_HEADING_RAD:
+            raise ValueError(f"{origin}: geometry: hdg: expected at most {MAX_HEADING_RAD:g} rad, got {heading:g}")
         own = _curve(geometry, ways_m[here] - begin_m, origin)
         turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
         turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
@@ -126,6 +133,8 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
 def _curve(geometry: Element, ways_m: Floats, origin: str) -> Floats:
     """x, y and heading of a geometry in its own frame, shape (N, 3), at distances from its beginning."""
     length_m = number_of(geometry, "length", origin)
+    if sum(shape.tag in SHAPES for shape in geometry) > 1:
+        raise ValueError(f"{origin}: geometry: expected one shape, got {', '.join(shape.tag for shape in geometry)}")
     for shape in geometry:
         if shape.tag == "line":
             return _clothoid(0.0, 0.0, ways_m)

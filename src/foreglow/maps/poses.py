@@ -47,6 +47,9 @@ TUM_COLUMNS = ("timestamp_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 METRIC_COLUMNS = TUM_COLUMNS[1:]
 EARTH_COLUMNS = ("lat_deg", "lon_deg", "heading_deg")
 EARTH_OPTIONS = ("height_m", "pitch_deg", "roll_deg")
+MAX_ANGLES_DEG = {"heading_deg": 36_000.0, "pitch_deg": 90.0, "roll_deg": 180.0}
+"""Either way; some tools count a heading on over full turns."""
+
 REPORTED = "reported"
 """Column with 1 while the car's production system reports a vehicle, and 0 otherwise."""
 
@@ -233,6 +236,10 @@ def _on_earth(
     latitudes, longitudes = values["lat_deg"], values["lon_deg"]
     for row in np.flatnonzero((np.abs(latitudes) > 90) | (np.abs(longitudes) > 180))[:1].tolist():
         check_position(latitudes[row], longitudes[row], f"{path}: line {lines[row]}")
+    for name, limit_deg in MAX_ANGLES_DEG.items():
+        for row in np.flatnonzero(np.abs(values.get(name, np.zeros(0))) > limit_deg)[:1].tolist():
+            expected = f"expected -{limit_deg:g} to {limit_deg:g} degrees"
+            raise ValueError(f"{path}: line {lines[row]}: {name}: {expected}, got {values[name][row]:g}")
     level = np.zeros(len(lines))
     heights_m = values.get("height_m", level)
     check_points(np.column_stack([level, level, heights_m]), str(path))

@@ -68,6 +68,8 @@ class RunSummary(_Strict):
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
+        num_lost_parts: How many of these lines are about a part of the file in which there may be any number of frames;
+            0 for live runs, which are incomplete then.
         frame_sizes_px: Each (width, height) that occurred, in order of the first frame that had it.
         run_time_ms: Median, p95 and p99 of every stage and of `total`, the sum of a frame's stages, in milliseconds;
             of the latest `tally.NUM_TIMES` frames.
@@ -102,6 +104,7 @@ class RunSummary(_Strict):
     processor: str
     dispatch: str | None
     command: str | None = None
+    num_lost_parts: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """The fields; a `source` that is not UTF-8 is written as a URI."""
@@ -197,6 +200,8 @@ def lack_of_run(folder: Path, num_frames: int | None = None) -> str | None:
         return (
             f"{folder}: the run was interrupted after {summary.num_frames} frames, what is made from it is incomplete"
         )
+    if summary.num_lost_parts:
+        return f"{folder}: frames may be missing from the run, its recording is damaged: {summary.skipped[0]}"
     if num_frames is not None and num_frames < summary.num_frames and summary.live is None:  # a live run may lose some
         words = f"{num_frames} of {summary.num_frames} frames are left"
         return f"{folder}: {words} of the run, what is made from it is incomplete"

@@ -110,6 +110,7 @@ class Tally:
         is_complete: bool,
         dispatch: str | None,
         processor: str | None = None,
+        num_lost_parts: int = 0,
     ) -> RunSummary:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
@@ -120,6 +121,7 @@ class Tally:
             is_complete: Whether all frames were run.
             dispatch: As `Pipeline.dispatch`.
             processor: Name of the processor that it ran on; None for that of this machine.
+            num_lost_parts: As in `RunSummary`.
         """
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
@@ -150,6 +152,7 @@ class Tally:
             processor=processor or processor_name(),
             dispatch=dispatch,
             command=running_command(),
+            num_lost_parts=num_lost_parts,
         )
 
     def _count_tracks(self, sequence: str, tracks: Tracks) -> None:

@@ -19,7 +19,7 @@ from typing import Protocol
 
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
-from foreglow.datasets import FrameSource
+from foreglow.datasets import FrameSource, lost_parts
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
@@ -149,7 +149,12 @@ def run(
                 sink.close()
         is_complete = not interrupt.is_set and (origin is None or origin.is_complete)
         summary = tally.summary(
-            name, source.skipped, pipeline.config, is_complete=is_complete, dispatch=pipeline.dispatch
+            name,
+            source.skipped,
+            pipeline.config,
+            is_complete=is_complete,
+            dispatch=pipeline.dispatch,
+            num_lost_parts=len(lost_parts(source)),
         )
         if folder is not None:
             folder.publish(pipeline.config, summary)

@@ -159,6 +159,39 @@ def test_what_lies_beyond_damage_is_read(tmp_path: Path, kind: str) -> None:
     assert len(source.skipped) == 1
 
 
+@pytest.mark.parametrize("change", ["inserted", "missing", "length"])
+def test_chunks_behind_missing_and_inserted_bytes_are_read(tmp_path: Path, change: str) -> None:
+    path = _mcap(tmp_path)
+    data = bytearray(path.read_bytes())
+    positions = [position for position in range(len(data)) if data.startswith(b"\x04\0\0\0zstd", position)]
+    at = positions[1] + 300
+    if change == "inserted":
+        data[at:at] = data[at - 250 : at]
+    elif change == "missing":
+        del data[at : at + 250]
+    else:  # that of the whole record, which is 37 bytes before its compression
+        data[positions[1] - 36 : positions[1] - 28] = struct.pack("<Q", 2**40)
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=rf"^{path}: (byte \d+: |expected records up to the end)"):
+        list(Recording(path))
+    source = Recording(path, on_error="skip")
+    np.testing.assert_array_equal([frame.image for frame in source], [IMAGES[0], *IMAGES[2:]])
+    assert source.skipped == source.lost_parts
+    assert source.skipped
+
+
+def test_no_more_than_so_many_damaged_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foreglow.datasets.bags.mcap_file.MAX_BREAKS", 1)
+    path = _mcap(tmp_path)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"zstd", data.index(b"zstd") + 4) + 300
+    del data[at : at + 250]
+    path.write_bytes(data)
+    source = Recording(path, on_error="skip")
+    np.testing.assert_array_equal([frame.image for frame in source], [IMAGES[0]])
+    assert source.skipped[-1].endswith(": expected at most 1 damaged parts, what follows is not read")
+
+
 def test_damage_where_the_topic_is_defined(tmp_path: Path) -> None:
     path = _mcap(tmp_path)
     data = bytearray(path.read_bytes())

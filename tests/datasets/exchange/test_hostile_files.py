@@ -91,6 +91,21 @@ FILES = {
         coco(images=[{"id": 1, "file_name": f"{name}.png", "width": 96, "height": 72} for name in "ab"]),
         "images: expected another id for each, got 1 twice",
     ),
+    "outside of a text": (
+        ".xml",
+        video().replace("points='1,2'", "points='1,2' outside='yes'"),
+        "track 0: outside: expected 0 or 1, got 'yes'",
+    ),
+    "an annotation twice": (
+        ".json",
+        coco(annotations=2 * [{"id": 1, "image_id": 1, "category_id": 1, "keypoints": [1.5, 2.5, 2]}]),
+        "annotations.1.id: expected another id for each annotation, got 1 twice",
+    ),
+    "a box of less than nothing": (
+        ".json",
+        coco(annotation={"keypoints": [], "bbox": [10, 10, -4, 3]}),
+        "annotations.0.bbox: expected a width and height of at least 0, got -4 and 3",
+    ),
     "no image": (".json", coco(annotation={"image_id": 9}), "annotations.0.image_id: expected an id of images"),
     "no category": (".json", coco(annotation={"category_id": 9}), "category_id: expected an id of categories"),
     "infinity": (".json", coco().replace("1.5", "Infinity"), "keypoints.0: "),

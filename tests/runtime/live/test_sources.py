@@ -7,6 +7,7 @@ import dataclasses
 import io
 import itertools
 import math
+import re
 import socket
 import threading
 import time
@@ -323,6 +324,29 @@ def test_paths_and_scenarios(tmp_path: Path) -> None:
         open_live("simulate:nowhere", CameraOptions())
     with pytest.raises(FileNotFoundError):
         open_live(str(tmp_path / "none"), CameraOptions())
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp://127.0.0.1:99999", "expected an address such as tcp://HOST:PORT: Port out of range 0-65535"),
+        ("tcp://", "expected an address such as tcp://HOST:PORT, got no host"),
+        ("http://[::1", "expected an address such as http://HOST:PORT: Invalid IPv6 URL"),
+        ("rtsp://camera:one/x", "expected an address such as rtsp://HOST:PORT: Port could not be cast"),
+        ("file:///etc/hosts", "expected an address with one of rtsp, "),
+    ],
+)
+def test_an_address_at_which_no_stream_can_ever_be(address: str, said: str) -> None:
+    """It was tried again for ever."""
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{address}: {said}')}"):
+        open_live(address, CameraOptions())
+
+
+@pytest.mark.parametrize(
+    "address", ["udp://:5000", "udp://@239.0.0.1:5000", "rtsp://me:secret@camera/1?profile=2", "RTSP://[::1]:554/x"]
+)
+def test_an_address_at_which_a_stream_may_come_to_be(address: str) -> None:
+    assert open_live(address, CameraOptions()).name == address
 
 
 def test_only_cameras_and_streams_are_cameras() -> None:

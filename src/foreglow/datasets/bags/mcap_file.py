@@ -6,8 +6,10 @@ Source: mcap.dev/spec, version 0.
 from __future__ import annotations
 
 import contextlib
+import mmap
+import re
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,6 +22,13 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x02, 0x0
 _READ = frozenset({_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK})
 _FOOTER_BYTES = 20
 _HEAD_BYTES = 9  # a record: opcode (1 byte), length (8), content
+
+
+MAX_BREAKS = 100
+"""In the order of records; a file may be made of chunks within chunks, each of which is read to its end."""
+
+_CHUNK_HEAD = re.compile(rb"\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd).{4}\0{4}", re.DOTALL)
+"""Opcode, length, two times, size, checksum, compression, and length of its records; lengths are below 4 GiB."""
 
 
 class McapFile:
@@ -41,29 +50,45 @@ class McapFile:
         self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated recording, its end is missing"
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
-        """As in `Container`; a topic that was defined in a damaged chunk is known from the end of the file."""
+        """As in `Container`; a topic that was defined in a damaged chunk is known from the end of the file.
+
+        Where records do not follow each other, since bytes are missing or too many, the next whole chunk is looked for.
+        """
         channels = _Channels(names)
         self._read_summary(channels)
         with self._path.open("rb") as file:
-            file.seek(len(MAGIC))
-            for position, kind, length in self._heads(file, refuse):
-                if kind in (_DATA_END, _FOOTER):
-                    self._check_end(file, position, refuse)
+            start = len(MAGIC)
+            for _ in range(MAX_BREAKS):
+                file.seek(start)
+                broken = yield from self._following(file, channels, refuse)
+                found = None if broken is None else _next_chunk(file, broken)
+                if found is None:
                     return
-                if kind not in _READ:
-                    continue
+                start = found
+        refuse(f"{self._path}: byte {start}: expected at most {MAX_BREAKS} damaged parts, what follows is not read")
+
+    def _following(self, file: BinaryIO, channels: _Channels, refuse: Refuse) -> Generator[Message, None, int | None]:
+        """The messages in the records that follow each other from here; returns where they broke, None at the end."""
+        broken, complaints = file.tell(), list[str]()
+        for position, kind, length in self._heads(file, complaints.append):
+            broken = position + _HEAD_BYTES + length
+            if kind in (_DATA_END, _FOOTER):
+                self._check_end(file, position, refuse)
+                return None
+            if kind not in _READ:
+                continue
+            try:
                 if length > MAX_BYTES:
-                    refuse(
-                        f"{self._path}: byte {position}: expected a record of at most {MAX_BYTES} bytes, got {length}"
-                    )
-                    continue
-                data = memoryview(file.read(length))
-                try:
-                    yield from channels.messages(kind, data)
-                except ValueError as error:
-                    refuse(f"{self._path}: byte {position}: {error}")
-        if not self.truncation and not is_partial(self._path):
-            refuse(f"{self._path}: expected records up to the end, one of them is malformed")
+                    raise ValueError(f"expected a record of at most {MAX_BYTES} bytes, got {length}")
+                yield from channels.messages(kind, memoryview(file.read(length)))
+            except ValueError as error:
+                refuse(f"{self._path}: byte {position}: {error}")
+                broken = position + 1  # its length may be wrong, or bytes of it be missing
+        if not complaints and (self.truncation or is_partial(self._path)):
+            return None
+        expected = f"{self._path}: expected records up to the end, one of them is malformed"
+        refuse(complaints[0] if complaints else expected)
+        return broken
 
     def count(self, name: str) -> int | None:
         """As in `Container`: by the statistics at the end."""
@@ -160,6 +185,19 @@ class _Channels:
         schema = cursor.number("H", "schema_id")
         topic, encoding = cursor.text("topic"), cursor.text("message_encoding")
         self.topics[number] = Topic(topic, self._schemas.get(schema, ""), encoding)
+
+
+def _next_chunk(file: BinaryIO, start: int) -> int | None:
+    """Position of the first chunk from `start` on that fits into the file and whose two lengths agree."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        found = _CHUNK_HEAD.search(data, start)
+        while found is not None:
+            length, inner = (int.from_bytes(found[0][place], "little") for place in (slice(1, 9), slice(-8, None)))
+            head_bytes = found.end() - found.start()
+            if _HEAD_BYTES + length == head_bytes + inner and found.end() + inner <= len(data):
+                return found.start()
+            found = _CHUNK_HEAD.search(data, found.start() + 1)
+    return None
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:

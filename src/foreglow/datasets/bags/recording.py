@@ -201,11 +201,6 @@ class Recording(FileSource):
         self.skipped = [*self.lost_parts]
         return self._frames()
 
-    def _lose(self, message: str) -> None:
-        """As `_refuse`, for a part of the recording in which there may be frames."""
-        self._refuse(message)
-        self.lost_parts.append(message)
-
     def _frames(self) -> Iterator[Frame]:
         index, record = -1, _NO_RECORD
         for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose):

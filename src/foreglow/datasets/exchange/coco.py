@@ -53,10 +53,11 @@ class CocoCategory(Record):
 
 
 class CocoAnnotation(Record):
-    """An annotation; of one without key points, the middle of its box is taken."""
+    """An annotation; of one without key points, the middle of its box is taken. Some tools leave its id out."""
 
     image_id: Id
     category_id: Id
+    id: Id | None = None
     keypoints: Numbers = ()
     bbox: Numbers = ()
     attributes: dict[str, Any] = Field(default_factory=dict)
@@ -84,8 +85,13 @@ def read_coco(path: Path) -> LabelSet:
         twice = next(image_id for image_id, num in Counter(image.id for image in file.images).items() if num > 1)
         raise ValueError(f"{path}: images: expected another id for each, got {twice} twice")
     lost: Counter[str] = Counter()
+    ids: set[int] = set()
     for index, annotation in enumerate(file.annotations):
         origin = f"{path}: annotations.{index}"
+        if annotation.id is not None:
+            if annotation.id in ids:
+                raise ValueError(f"{origin}.id: expected another id for each annotation, got {annotation.id} twice")
+            ids.add(annotation.id)
         if annotation.image_id not in marks:
             raise ValueError(f"{origin}.image_id: expected an id of images, got {annotation.image_id}")
         if annotation.category_id not in names:
@@ -94,7 +100,7 @@ def read_coco(path: Path) -> LabelSet:
         if name not in set(Kind):
             lost[f"annotation of the category {shortened(name)}"] += 1
             continue
-        point = _point(annotation)
+        point = _point(annotation, origin)
         lost["further key point of an annotation"] += max(0, sum(each > 0 for each in annotation.keypoints[2::3]) - 1)
         if point is None:
             lost["annotation without a key point or a box"] += 1
@@ -112,7 +118,7 @@ def read_coco(path: Path) -> LabelSet:
     return LabelSet(checked_images(images, path), +lost)
 
 
-def _point(annotation: CocoAnnotation) -> tuple[float, float] | None:
+def _point(annotation: CocoAnnotation, origin: str) -> tuple[float, float] | None:
     """The first key point that is labelled, else the middle of the box."""
     points = annotation.keypoints
     for x, y, visibility in zip(points[0::3], points[1::3], points[2::3], strict=False):
@@ -120,6 +126,8 @@ def _point(annotation: CocoAnnotation) -> tuple[float, float] | None:
             return x, y
     if len(annotation.bbox) == 4:
         x, y, width, height = annotation.bbox
+        if width < 0 or height < 0:
+            raise ValueError(f"{origin}.bbox: expected a width and height of at least 0, got {width:g} and {height:g}")
         return x + width / 2, y + height / 2
     return None
 

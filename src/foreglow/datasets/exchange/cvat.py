@@ -133,7 +133,9 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
             if shape.tag not in SHAPES:
                 continue
             frame = number(shape.get("frame"), f"{origin}: frame") or 0
-            seen[frame] = shape.get("outside") == "1"
+            if (outside := shape.get("outside", "0")) not in ("0", "1"):
+                raise ValueError(f"{origin}: outside: expected 0 or 1, got {shortened(outside)}")
+            seen[frame] = outside == "1"
             if seen[frame]:
                 continue
             if frame not in marks:

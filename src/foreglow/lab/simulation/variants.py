@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from foreglow.lab.simulation.scenes.scene import Scene
-from foreglow.lab.simulation.scenes.surroundings import NonNegative, SpecModel
+from foreglow.lab.simulation.scenes.surroundings import FactorOrNone, SpecModel
 
 VARIANT_STREAM = 903
 """Random stream of a variant, `np.random.default_rng([scene.seed, VARIANT_STREAM, number])`."""
@@ -37,9 +37,9 @@ class Variant(SpecModel):
         unseen: Numbers of those whose lamps are hidden from the camera, while all that they light is as it was.
     """
 
-    low: NonNegative = 1.0
-    high: NonNegative = 1.0
-    veil: NonNegative = 1.0
+    low: FactorOrNone = 1.0
+    high: FactorOrNone = 1.0
+    veil: FactorOrNone = 1.0
     off: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
     unseen: Annotated[tuple[int, ...], Field(max_length=1000)] = ()
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
 import av
 import cv2
@@ -24,6 +25,12 @@ OPEN_S, READ_S = 5.0, 1.0
 
 PICTURE_S = 30.0
 """Longest time until packets of a network stream become a picture: encoders send a key frame more often."""
+
+STREAM_SCHEMES = (
+    *("rtsp", "rtsps", "rtmp", "rtmps", "rtmpt", "http", "https", "tcp", "tls", "udp", "rtp", "srtp", "srt"),
+    *("sctp", "mmsh", "mmst"),
+)
+"""Of FFmpeg's protocols, those that a camera or a server on the network may speak."""
 
 MAX_DIGITS = 3
 """Of a camera's number."""
@@ -141,6 +148,25 @@ def open_v4l2(device: str, options: CameraOptions) -> CaptureCamera:
 def open_gstreamer(pipeline: str, options: CameraOptions) -> CaptureCamera:
     """A GStreamer pipeline that ends in an appsink."""
     return CaptureCamera(f"gstreamer:{pipeline}", pipeline, cv2.CAP_GSTREAMER, options)
+
+
+def open_stream(address: str, options: CameraOptions) -> StreamCamera:
+    """The network stream at an address, which is not looked for yet: it may come later.
+
+    Raises:
+        ValueError: If no stream can ever be there: for its scheme, host or port.
+    """
+    scheme = address.partition("://")[0]
+    if scheme.lower() not in STREAM_SCHEMES:
+        raise ValueError(f"{address}: expected an address with one of {', '.join(STREAM_SCHEMES)}, or a path")
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise ValueError(f"{address}: expected an address such as {scheme}://HOST:PORT: {error}") from None
+    if host is None and port is None:  # udp://:5000 listens
+        raise ValueError(f"{address}: expected an address such as {scheme}://HOST:PORT, got no host")
+    return StreamCamera(address, options)
 
 
 class StreamCamera(LiveCamera):

@@ -25,7 +25,7 @@ STREAM = "://"
 SOURCES = {
     "camera": "runtime.live.cameras:open_v4l2",
     "gstreamer": "runtime.live.cameras:open_gstreamer",
-    STREAM: "runtime.live.cameras:StreamCamera",
+    STREAM: "runtime.live.cameras:open_stream",
     "simulate": "lab.simulation.live_drive:open_drive",
 }
 """The `Opener` of each scheme, as `module:name` without the package: it is imported when it is needed."""

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -79,3 +80,22 @@ def test_the_example_of_the_guide_is_a_scene(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(guide.split("```toml\n")[1].split("```")[0])
     assert read_scene(path).name == "my_bend"
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("[camera]\nmount_m = [1.9, 0.0, 12.0]", "camera.mount_m.2"),
+        ("[camera]\nmount_m = [1e11, 0.0, 1.3]", "camera.mount_m.0"),
+        ("[camera]\nyaw_deg = 100.0", "camera.yaw_deg"),
+        ("[camera]\nfocal_px = 20.0", "camera.focal_px"),
+        ("[sensor]\ncore_px = 30000.0", "sensor.core_px"),
+        ("[sensor]\nmiddle_px = 21.0", "sensor.middle_px"),
+        ("[surroundings.left]\ngrass_per_m2 = 1e11", "surroundings.left.grass_per_m2"),
+    ],
+)
+def test_what_no_camera_or_road_has_is_refused_when_the_scene_is_read(text: str, field: str, tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path}: {field}: ')}"):
+        read_scene(path)

@@ -17,12 +17,10 @@ from pydantic import AfterValidator, Field, model_validator
 from foreglow.config import read_toml, validated
 from foreglow.datasets.pvdn.schema import Name
 from foreglow.lab.simulation.scenes.scene import SensorSpec
-from foreglow.lab.simulation.scenes.surroundings import NonNegative, Positive, Share, SpecModel
+from foreglow.lab.simulation.scenes.surroundings import Blur, Factor, FactorOrNone, Luminance, Share, SpecModel
 
 Angle = Annotated[float, Field(gt=0, le=60)]
 Direction = Annotated[float, Field(ge=-360, le=360)]
-Blur = Annotated[float, Field(gt=0, le=20)]
-"""Standard deviation in pixels; the memory that blurring takes grows with it."""
 Listed = Field(max_length=20)
 MAX_SCATTERED = 0.9
 
@@ -119,7 +117,7 @@ class LensSpec(SpecModel):
     """
 
     core_px: Blur = 0.8
-    vignetting: NonNegative = 1.0
+    vignetting: FactorOrNone = 1.0
     veils: Annotated[tuple[VeilSpec, ...], Listed] = ()
     ghosts: Annotated[tuple[GhostSpec, ...], Listed] = ()
     streaks: Annotated[tuple[StreakSpec, ...], Listed] = ()
@@ -151,9 +149,9 @@ class CarSpec(SpecModel):
     """
 
     bonnet_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    bonnet_cd_m2: NonNegative = 0.002
+    bonnet_cd_m2: Luminance = 0.002
     num_reflections: Annotated[int, Field(ge=0, le=20)] = 0
-    reflection_cd_m2: NonNegative = 0.05
+    reflection_cd_m2: Luminance = 0.05
 
 
 SCENE_FIELDS = ("sensitivity", "late_gain", "grain_px", "row_noise")
@@ -182,16 +180,16 @@ class ImagerSpec(SpecModel):
     """
 
     model: Literal["scene", "electrons"] = "electrons"
-    sensitivity: Positive = 1.0
+    sensitivity: Factor = 1.0
     late_gain: Annotated[float, Field(gt=0, le=10)] = 1.0
     grain_px: Annotated[float, Field(ge=0, le=20)] = 0.0
-    row_noise: NonNegative = 1.0
+    row_noise: FactorOrNone = 1.0
     colour: Literal["mono", "bayer"] = "bayer"
-    response_e: Positive = 8000.0
-    full_well_e: Positive = 9000.0
-    read_noise_e: NonNegative = 3.0
+    response_e: Factor = 8000.0
+    full_well_e: Factor = 9000.0
+    read_noise_e: FactorOrNone = 3.0
     fixed_pattern: Annotated[float, Field(ge=0, le=0.2)] = 0.01
-    column_pattern_e: NonNegative = 0.3
+    column_pattern_e: FactorOrNone = 0.3
     bits: Annotated[int, Field(ge=6, le=24)] = 10
     bloom: Share = 0.0
     bloom_px: Blur = 2.0
@@ -213,13 +211,13 @@ class ExposureSpec(SpecModel):
     """
 
     seconds: Annotated[float, Field(gt=0, le=0.5)] = 1 / 30
-    gain: Positive = 8.0
+    gain: Factor = 8.0
     metering: Literal["fixed", "average", "centre"] = "fixed"
     target: Annotated[float, Field(gt=0, lt=1)] = 0.05
     compensation_ev: Annotated[float, Field(ge=-6, le=6)] = 0.0
-    lag_s: Positive = 0.5
-    max_gain: Positive = 32.0
-    min_gain: Positive = 0.1
+    lag_s: Annotated[float, Field(gt=0, le=3600)] = 0.5
+    max_gain: Factor = 32.0
+    min_gain: Factor = 0.1
     readout_s: Annotated[float, Field(ge=0, le=0.1)] = 0.0
 
     @model_validator(mode="after")
@@ -256,7 +254,7 @@ class ToneSpec(SpecModel):
     white_level: Annotated[float, Field(gt=128, le=255)] = 255.0
     smooth: Share = 0.0
     denoise: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    noise_level: Positive = 6.0
+    noise_level: Factor = 6.0
     sharpen: Annotated[float, Field(ge=0, le=5)] = 0.0
     sharpen_px: Blur = 1.0
 

@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field
 
 from foreglow.datasets.simulated import VehicleTruth
-from foreglow.lab.simulation.scenes.surroundings import NonNegative, Positive, SpecModel
+from foreglow.lab.simulation.scenes.surroundings import Factor, FactorOrNone, SpecModel
 
 
 class ProductionConfig(SpecModel):
@@ -33,13 +33,13 @@ class ProductionConfig(SpecModel):
         release_s: A vehicle stays reported for this long after its last sight, since the beam is only restored then.
     """
 
-    min_grey: Positive = 40.0
-    min_illuminance_lx: NonNegative = 0.002
+    min_grey: Factor = 40.0
+    min_illuminance_lx: FactorOrNone = 0.002
     min_visible: Annotated[float, Field(ge=0, le=1)] = 0.5
     confirm_frames: Annotated[int, Field(ge=1, le=1000)] = 5
-    rate_hz: Positive = 18.0
-    latency_s: NonNegative = 0.24
-    release_s: NonNegative = 2.0
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
+    latency_s: Annotated[float, Field(ge=0, le=3600)] = 0.24
+    release_s: Annotated[float, Field(ge=0, le=3600)] = 2.0
 
 
 @dataclass(slots=True)

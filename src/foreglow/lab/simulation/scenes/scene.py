@@ -14,12 +14,17 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args
 import tomli_w
 from pydantic import Field, model_validator
 
+from foreglow.calibration.values import MIN_FOCAL_PX, Intrinsics, Position, Turn
 from foreglow.config import read_toml, validated
 from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, check_centre, check_distortion
 from foreglow.lab.simulation.scenes.surroundings import (
+    MAX_ALONG_M,
+    Along,
+    Blur,
+    Factor,
+    FactorOrNone,
     Listed,
-    NonNegative,
-    Positive,
+    Luminance,
     Profile,
     Share,
     Side,
@@ -36,6 +41,7 @@ EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
 
 Shoulder: TypeAlias = Annotated[float, Field(ge=0, le=5)]
 _Term: TypeAlias = Annotated[float, Field(ge=-MAX_DISTORTION, le=MAX_DISTORTION)]
+_Pixel: TypeAlias = Annotated[float, Field(ge=-1_000_000, le=1_000_000)]
 MAX_COUNT = 1000
 """Of lanes, side roads, lights of a vehicle and frames: far beyond what a drive has."""
 
@@ -60,7 +66,7 @@ class Branch(SpecModel):
         length_m: Its length.
     """
 
-    s_m: float
+    s_m: Along
     angle_deg: Annotated[float, Field(ge=-180, le=180)]
     length_m: Annotated[float, Field(gt=0, le=5000)] = 120.0
 
@@ -165,15 +171,15 @@ class VehicleSpec(SpecModel):
     is_towards: bool = True
     timetable: Profile = ((0.0, 300.0), (10.0, 100.0))
     lane_number: LaneNumber | None = None
-    lateral_m: float | None = None
+    lateral_m: Annotated[float, Field(ge=-500, le=500)] | None = None
     brakes_s: Listed[tuple[Span, ...]] = ()
     beam: Beam = "low"
     low_beam_file: str | None = None
-    brightness: Positive = 1.0
+    brightness: Factor = 1.0
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     is_light: bool = False
-    lights_up_to_m: Positive | None = None
+    lights_up_to_m: Annotated[float, Field(gt=0, le=MAX_ALONG_M)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> VehicleSpec:
@@ -206,7 +212,7 @@ class EgoSpec(SpecModel):
     low_beam_file: str | None = None
     carpet: Annotated[float, Field(gt=0, le=1)] = 1.0
     stray: Annotated[float, Field(ge=0, le=100)] = 1.0
-    brightness: Positive = 1.0
+    brightness: Factor = 1.0
     yaw_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     body_motion: Annotated[float, Field(ge=0, le=10)] = 1.0
@@ -230,12 +236,12 @@ class WeatherSpec(SpecModel):
         glow_cd_m2: What the horizon has more than the sky above, the glow of towns.
     """
 
-    scattering_per_m: NonNegative = 4e-4
+    scattering_per_m: Annotated[float, Field(ge=0, le=10)] = 4e-4
     asymmetry: Annotated[float, Field(gt=-1, lt=1)] = 0.75
     rain_mm_h: Annotated[float, Field(ge=0, le=500)] = 0.0
     snow_mm_h: Annotated[float, Field(ge=0, le=500)] = 0.0
-    sky_cd_m2: NonNegative = 3e-4
-    glow_cd_m2: NonNegative = 0.0
+    sky_cd_m2: Luminance = 3e-4
+    glow_cd_m2: Luminance = 0.0
 
 
 class CameraSpec(SpecModel):
@@ -247,7 +253,8 @@ class CameraSpec(SpecModel):
         focal_px: Focal length.
         centre_px: Principal point; None for the middle of the image.
         distortion: k1, k2, p1, p2, k3, as OpenCV defines them.
-        mount_m: Position in the vehicle: forward of the rear axle, left, up.
+        mount_m: Position in the vehicle: forward of the rear axle, left, up; limited, as are focal length and angles,
+            as in a calibration, since every data set has one.
         pitch_deg: Pitch upwards.
         yaw_deg: Yaw to the left.
         roll_deg: Roll to the right.
@@ -255,12 +262,12 @@ class CameraSpec(SpecModel):
 
     width_px: Annotated[int, Field(ge=32, le=8192)] = 1280
     height_px: Annotated[int, Field(ge=24, le=8192)] = 960
-    focal_px: Annotated[float, Field(gt=0, le=MAX_FOCAL_PX)] = 1312.0
-    centre_px: tuple[float, float] | None = None
+    focal_px: Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)] = 1312.0
+    centre_px: tuple[_Pixel, _Pixel] | None = None
     distortion: tuple[_Term, _Term, _Term, _Term, _Term] = (-0.05, 0.02, 0.0, 0.0, 0.0)
-    mount_m: tuple[float, float, float] = (1.9, 0.0, 1.3)
+    mount_m: Position = (1.9, 0.0, 1.3)
     pitch_deg: Annotated[float, Field(ge=-30, le=30)] = -0.7
-    yaw_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    yaw_deg: Turn = 0.0
     roll_deg: Annotated[float, Field(ge=-30, le=30)] = 0.0
 
     @model_validator(mode="after")
@@ -269,6 +276,8 @@ class CameraSpec(SpecModel):
             check_centre(self.centre_px, (self.width_px, self.height_px), "centre_px")
         size_px, focal_px = (self.width_px, self.height_px), (self.focal_px, self.focal_px)
         centre_px = self.centre_px or (self.width_px / 2, self.height_px / 2)
+        width_px, height_px = size_px
+        Intrinsics(width_px=width_px, height_px=height_px, focal_px=focal_px, centre_px=centre_px).of_a_lens("focal_px")
         check_distortion(size_px, focal_px, centre_px, self.distortion, "distortion")
         return self
 
@@ -300,23 +309,23 @@ class SensorSpec(SpecModel):
     """
 
     exposure: Literal["day", "night"] = "day"
-    grey_per_cd_m2: Positive = 50.0
-    night_gain: Positive = 8.0
-    day_exposure_s: Positive = 8e-3
-    night_exposure_s: Positive = 2.5e-2
-    black_level: NonNegative = 7.6
-    knee: Positive = 38.0
-    log_slope: Positive = 14.0
-    read_noise: NonNegative = 1.35
-    shot_noise: NonNegative = 0.05
+    grey_per_cd_m2: Factor = 50.0
+    night_gain: Factor = 8.0
+    day_exposure_s: Annotated[float, Field(gt=0, le=10)] = 8e-3
+    night_exposure_s: Annotated[float, Field(gt=0, le=10)] = 2.5e-2
+    black_level: Annotated[float, Field(ge=0, le=255)] = 7.6
+    knee: Annotated[float, Field(gt=0, le=10_000)] = 38.0
+    log_slope: Annotated[float, Field(gt=0, le=10_000)] = 14.0
+    read_noise: FactorOrNone = 1.35
+    shot_noise: FactorOrNone = 0.05
     grain_px: Annotated[float, Field(ge=0, le=20)] = 0.0
-    column_noise: NonNegative = 1.0
-    row_noise: NonNegative = 1.0
-    core_px: Positive = 0.8
+    column_noise: FactorOrNone = 1.0
+    row_noise: FactorOrNone = 1.0
+    core_px: Blur = 0.8
     middle_share: Share = 0.25
-    middle_px: Positive = 0.65
+    middle_px: Blur = 0.65
     tail_share: Annotated[float, Field(ge=0, le=0.2)] = 1.5e-2
-    vignetting: NonNegative = 1.0
+    vignetting: FactorOrNone = 1.0
 
 
 class LabelRule(SpecModel):
@@ -339,15 +348,15 @@ class LabelRule(SpecModel):
         min_visible: Share of a lamp's disc that must be seen for a direct instance.
     """
 
-    min_grey: Positive = 15.0
-    min_contrast: Positive = 37.5
-    min_area_px: Positive = 25.0
+    min_grey: Factor = 15.0
+    min_contrast: Factor = 37.5
+    min_area_px: Factor = 25.0
     saddle: Share = 0.5
-    min_distance_px: NonNegative = 20.0
+    min_distance_px: Annotated[float, Field(ge=0, le=8192)] = 20.0
     max_instances: Annotated[int, Field(ge=1, le=MAX_COUNT)] = 2
     max_hidden_instances: Annotated[int, Field(ge=1, le=MAX_COUNT)] = 1
     relative_strength: Share = 0.5
-    doubtful_factor: Annotated[float, Field(ge=1)] = 4.0
+    doubtful_factor: Annotated[float, Field(ge=1, le=1_000_000)] = 4.0
     hold_frames: Annotated[int, Field(ge=0, le=MAX_COUNT)] = 3
     min_visible: Share = 0.2
 

@@ -10,7 +10,11 @@ from foreglow.config import FrozenModel
 
 T = TypeVar("T")
 
-Profile: TypeAlias = Annotated[tuple[tuple[float, float], ...], Field(min_length=1, max_length=10_000)]
+MAX_ALONG_M = 100_000.0
+"""Arc lengths, and times in s: the longest road has 5 km and the longest drive an hour."""
+
+Along: TypeAlias = Annotated[float, Field(ge=-MAX_ALONG_M, le=MAX_ALONG_M)]
+Profile: TypeAlias = Annotated[tuple[tuple[Along, Along], ...], Field(min_length=1, max_length=10_000)]
 """Pairs (position, value) with growing positions."""
 
 
@@ -20,7 +24,7 @@ def _growing(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
-Span: TypeAlias = Annotated[tuple[float, float], AfterValidator(_growing)]
+Span: TypeAlias = Annotated[tuple[Along, Along], AfterValidator(_growing)]
 """From one arc length to another, metres."""
 
 MIN_SPACING_M = 0.5
@@ -32,13 +36,22 @@ MAX_TREES = 50_000
 MAX_THINGS = 1000
 """Things of one kind in a scene, such as signs; each is a mesh of its own."""
 
-Spacing: TypeAlias = Annotated[float, Field(ge=MIN_SPACING_M)]
+# No number of a scene or camera profile is without both limits: memory, time or an overflow may depend on it.
+Spacing: TypeAlias = Annotated[float, Field(ge=MIN_SPACING_M, le=5000)]
 Size: TypeAlias = Annotated[float, Field(gt=0, le=500)]
+Height: TypeAlias = Annotated[float, Field(gt=0, le=100)]
+LowHeight: TypeAlias = Annotated[float, Field(ge=0, le=100)]
 Distance: TypeAlias = Annotated[float, Field(gt=0, le=5000)]
 Listed: TypeAlias = Annotated[T, Field(max_length=MAX_THINGS)]
-Positive: TypeAlias = Annotated[float, Field(gt=0)]
-NonNegative: TypeAlias = Annotated[float, Field(ge=0)]
+Turn: TypeAlias = Annotated[float, Field(ge=-360, le=360)]
+Luminance: TypeAlias = Annotated[float, Field(ge=0, le=1_000_000)]
+Intensity: TypeAlias = Annotated[float, Field(ge=0, le=1_000_000)]
+Factor: TypeAlias = Annotated[float, Field(gt=0, le=1_000_000)]
+FactorOrNone: TypeAlias = Annotated[float, Field(ge=0, le=1000)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Blur: TypeAlias = Annotated[float, Field(gt=0, le=20)]
+"""Standard deviation in pixels; the memory that blurring takes grows with it."""
+
 Side: TypeAlias = Literal["left", "right"]
 
 SignKind: TypeAlias = Literal["chevron_left", "chevron_right", "round", "triangle", "rectangle", "guide", "post_marker"]
@@ -66,7 +79,7 @@ class _At(SpecModel):
     """
 
     side: Side
-    s_m: float
+    s_m: Along
 
 
 class _Along(SpecModel):
@@ -89,7 +102,7 @@ class Rail(_Along):
         post_spacing_m: Distance between posts.
     """
 
-    offset_m: Positive = 0.8
+    offset_m: Size = 0.8
     post_spacing_m: Spacing = 4.0
 
 
@@ -102,8 +115,8 @@ class Wall(_Along):
         material: Its material.
     """
 
-    offset_m: Positive = 2.0
-    height_m: Positive = 1.2
+    offset_m: Size = 2.0
+    height_m: Height = 1.2
     material: Literal["concrete", "brick", "plaster", "rock"] = "concrete"
 
 
@@ -119,9 +132,9 @@ class Sign(_At):
     """
 
     kind: SignKind
-    offset_m: Positive = 1.2
-    height_m: NonNegative = 1.8
-    size_m: Positive = 0.6
+    offset_m: Size = 1.2
+    height_m: LowHeight = 1.8
+    size_m: Size = 0.6
     faces_oncoming: bool = False
 
 
@@ -137,11 +150,11 @@ class Woods(_Along):
         has_undergrowth: Whether bushes stand between and in front of the trees.
     """
 
-    offset_m: Positive = 5.0
+    offset_m: Size = 5.0
     depth_m: Annotated[float, Field(ge=0, le=500)] = 25.0
     spacing_m: Spacing = 4.0
     leaves: Share = 0.5
-    height_m: Positive = 12.0
+    height_m: Height = 12.0
     has_undergrowth: bool = True
 
     @model_validator(mode="after")
@@ -165,13 +178,13 @@ class House(_At):
         yaw_deg: Rotation away from the direction of the road.
     """
 
-    offset_m: Positive = 8.0
+    offset_m: Size = 8.0
     size_m: tuple[Size, Size, Size] = (10.0, 8.0, 5.0)
     num_lit_windows: Annotated[int, Field(ge=0, le=60)] = 2
-    window_cd_m2: NonNegative = 30.0
+    window_cd_m2: Luminance = 30.0
     has_panes: bool = False
-    shop_cd_m2: NonNegative = 0.0
-    yaw_deg: float = 0.0
+    shop_cd_m2: Luminance = 0.0
+    yaw_deg: Turn = 0.0
 
 
 class StreetLamp(_At):
@@ -183,9 +196,9 @@ class StreetLamp(_At):
         intensity_cd: Intensity straight down; 0 for a lamp that is off.
     """
 
-    offset_m: Positive = 1.5
-    height_m: Positive = 6.0
-    intensity_cd: NonNegative = 900.0
+    offset_m: Size = 1.5
+    height_m: Height = 6.0
+    intensity_cd: Intensity = 900.0
 
 
 class Panel(_At):
@@ -199,11 +212,11 @@ class Panel(_At):
         yaw_deg: Rotation away from facing us, towards the road.
     """
 
-    offset_m: Positive = 3.0
-    height_m: NonNegative = 2.5
+    offset_m: Size = 3.0
+    height_m: LowHeight = 2.5
     size_m: tuple[Size, Size] = (3.6, 2.7)
-    screen_cd_m2: NonNegative = 150.0
-    yaw_deg: float = 0.0
+    screen_cd_m2: Luminance = 150.0
+    yaw_deg: Turn = 0.0
 
 
 class Settlement(SpecModel):
@@ -220,12 +233,12 @@ class Settlement(SpecModel):
     """
 
     side: Side
-    s_m: float
-    offset_m: NonNegative = 0.0
+    s_m: Along
+    offset_m: Annotated[float, Field(ge=0, le=5000)] = 0.0
     size_m: tuple[Distance, Distance] = (600.0, 800.0)
-    height_m: Positive = 15.0
+    height_m: Height = 15.0
     num_lamps: Annotated[int, Field(ge=1, le=500)] = 40
-    intensity_cd: Positive = 150.0
+    intensity_cd: Annotated[float, Field(gt=0, le=1_000_000)] = 150.0
 
 
 class Signal(_At):
@@ -240,11 +253,11 @@ class Signal(_At):
         faces_oncoming: Whether it faces oncoming traffic, so that we see its back.
     """
 
-    offset_m: Positive = 0.8
-    height_m: Positive = 2.4
+    offset_m: Size = 0.8
+    height_m: Height = 2.4
     arm_m: Annotated[float, Field(ge=0, le=15)] = 0.0
     lit: Literal["red", "amber", "green"] = "red"
-    intensity_cd: NonNegative = 200.0
+    intensity_cd: Intensity = 200.0
     faces_oncoming: bool = False
 
 
@@ -256,7 +269,7 @@ class Gantry(_At):
         signs_m: Width of each sign, from the edge of the road inwards.
     """
 
-    height_m: Positive = 5.6
+    height_m: Height = 5.6
     signs_m: Annotated[tuple[Size, ...], Field(min_length=1, max_length=5)] = (4.0, 3.0)
 
 
@@ -269,7 +282,7 @@ class Bridge(SpecModel):
         height_m: Height of its lower edge above our road.
     """
 
-    s_m: float
+    s_m: Along
     width_m: Annotated[float, Field(ge=2, le=60)] = 10.0
     height_m: Annotated[float, Field(ge=4, le=20)] = 5.2
 
@@ -288,12 +301,12 @@ class Verge(SpecModel):
     """
 
     bank_m: Annotated[float, Field(ge=-10, le=15)] = 0.5
-    bank_offset_m: NonNegative = 2.0
-    ditch_m: NonNegative = 0.2
+    bank_offset_m: Annotated[float, Field(ge=0, le=500)] = 2.0
+    ditch_m: Annotated[float, Field(ge=0, le=10)] = 0.2
     ground: Literal["grass_ground", "soil", "gravel", "pavement"] = "grass_ground"
     snow: Share = 0.0
-    grass_height_m: NonNegative = 0.12
-    grass_per_m2: NonNegative = 20.0
+    grass_height_m: Annotated[float, Field(ge=0, le=5)] = 0.12
+    grass_per_m2: Annotated[float, Field(ge=0, le=1000)] = 20.0
 
 
 class SurroundingsSpec(SpecModel):
@@ -330,7 +343,7 @@ class SurroundingsSpec(SpecModel):
     gantries: Listed[tuple[Gantry, ...]] = ()
     bridges: Listed[tuple[Bridge, ...]] = ()
     settlements: Annotated[tuple[Settlement, ...], Field(max_length=20)] = ()
-    delineator_spacing_m: NonNegative = 50.0
+    delineator_spacing_m: Annotated[float, Field(ge=0, le=5000)] = 50.0
     num_bushes: Annotated[int, Field(ge=0, le=2000)] = 0
 
     @model_validator(mode="after")

@@ -50,11 +50,11 @@ class StreetDataError(FrozenModel):
     """
 
     longitudinal_class: ErrorClass | None = None
-    class_shares: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(min_length=6, max_length=6)] = (
+    class_shares: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Field(min_length=6, max_length=6)] = (
         *(0.25, 0.25, 0.2, 0.15, 0.1),
         0.05,
     )
-    wander_m: Annotated[float, Field(ge=10)] = 400.0
+    wander_m: Annotated[float, Field(ge=10, le=100_000)] = 400.0
     horizon_m: Annotated[float, Field(gt=0, le=2000)] = 400.0
 
     @model_validator(mode="after")
