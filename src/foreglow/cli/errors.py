@@ -28,7 +28,7 @@ from typer.core import TyperGroup
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
 from foreglow.plugins import first_line_of, printable, raising, words_of
-from foreglow.whole_files import output_words
+from foreglow.whole_files import RemadeWarning, output_words
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -157,6 +157,8 @@ class Commands(TyperGroup):
         if not is_debug:  # what libraries have to say beside their errors
             logging.lastResort = logging.NullHandler()
             warnings.simplefilter("ignore")
+            warnings.simplefilter("always", RemadeWarning)
+            warnings.showwarning = _show_warning
         inputs = _inputs([*ctx._protected_args, *ctx.args])
         try:
             return super().invoke(ctx)
@@ -201,6 +203,10 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 def _complain(line: str) -> None:
     with contextlib.suppress(OSError):  # a terminal that is gone
         typer.echo(f"foreglow: {line}", err=True)
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    _complain(str(message))
 
 
 def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, int]:
