@@ -288,6 +288,18 @@ def test_a_working_directory_that_is_gone(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert errors.one_line(caught.value) == ("the working directory is there no more", 2)
 
 
+def test_no_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", list)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with pytest.raises(FileNotFoundError) as caught:
+        tempfile.gettempdir()
+    line, code = errors.one_line(caught.value)
+    assert line.startswith(
+        "expected room for a temporary file, or TMPDIR to name a folder with some: No usable temporary"
+    )
+    assert code == 2
+
+
 def test_our_own_cameras_are_no_plug_ins() -> None:
     result = foreglow_command("live", "camera:x", "--give-up", "0.5")
     assert result.exit_code == 2

@@ -227,7 +227,11 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         hint = "; source the setup file of ROS 2 first" if EXTRAS.get(broken) == "ros2" else ""
         return f"{broken} is installed, but cannot be loaded: {shortened(words, 400)}{hint}", 2
     if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
-        return "the working directory is there no more", 2
+        if error.strerror == os.strerror(errno.ENOENT):
+            return "the working directory is there no more", 2
+        return shortened(
+            f"expected room for a temporary file, or TMPDIR to name a folder with some: {error.strerror}"
+        ), 2
     closed = _closed_folder(error)
     if closed is not None:
         return shortened(f"{closed}: expected a folder that may be entered, the right to (x) is missing"), 2
