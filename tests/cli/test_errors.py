@@ -194,10 +194,10 @@ def test_an_interrupt_while_a_module_loads(monkeypatch: pytest.MonkeyPatch, tmp_
     [
         ("ZeroDivisionError('nothing')", "ZeroDivisionError: nothing"),
         ("OSError(28, 'No space', 'a')", "OSError: [Errno 28] No space: 'a'"),
-        ("MemoryError()", "MemoryError: "),
+        ("MemoryError()", "MemoryError"),
         ("BrokenPipeError(32, 'Broken pipe')", "BrokenPipeError: [Errno 32] Broken pipe"),
         ("SystemExit(0)", "SystemExit: 0"),
-        ("GeneratorExit()", "GeneratorExit: "),
+        ("GeneratorExit()", "GeneratorExit"),
         ("type('Mute', (ValueError,), {'__str__': lambda self: 1 / 0})()", "Mute: what it says cannot be read"),
     ],
 )

@@ -27,7 +27,7 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
-from foreglow.plugins import first_line_of, printable, raising, words_of
+from foreglow.plugins import described, first_line_of, printable, raising, words_of
 from foreglow.whole_files import RemadeWarning, output_words
 
 EXTRAS = {
@@ -218,7 +218,7 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     """
     origin = raising(error)
     if origin is not None:
-        return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {words_of(error)}"), 2
+        return shortened(f"{origin}: the plug-in raised {described(error)}"), 2
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     broken = _broken_package(error)
@@ -246,7 +246,7 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     if isinstance(error, (ValueError, OSError)):
         return shortened(words_of(error) or type(error).__name__), 2
     is_short = isinstance(error, MemoryError) and not words_of(error)  # else it says how much was asked for
-    words = NO_MEMORY if is_short else shortened(f"{type(error).__name__}: {words_of(error)}", 200)
+    words = NO_MEMORY if is_short else shortened(described(error), 200)
     path = _input_read(error, inputs)
     if path is not None:
         return shortened(f"{path}: cannot be read: {words}"), 2
