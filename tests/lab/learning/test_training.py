@@ -336,7 +336,7 @@ def test_checkpoint_that_is_not_finite(tmp_path: Path, name: str) -> None:
 
 def _expect_damaged(folder: Path, damage: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
     one = changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0})
-    run(folder, one)
+    train(one, TRAIN, VAL, str(folder), make_network=make_tiny, device="cpu")
     path = folder / "checkpoint.pt"
     torch.save(damage(torch.load(path, weights_only=True)), path)
     with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):

@@ -94,7 +94,7 @@ def train(
     recipe: Recipe,
     train_samples: Samples,
     val_samples: Samples,
-    folder: Path,
+    folder: Path | str,
     *,
     make_network: MakeNetwork | None = None,
     start: str = "",
@@ -126,7 +126,7 @@ def train(
         ValueError: If there is no positive or no negative sample, the samples do not fit each other, the folder holds
             another training or a damaged checkpoint, or there is no such device.
     """
-    chosen = torch_device(device)
+    chosen, folder = torch_device(device), Path(folder)
     for name, samples in (("train", train_samples), ("val", val_samples)):
         check_learnable(samples, f"{name} samples", has_kinds=recipe.kinds and name == "train")
     folder.mkdir(parents=True, exist_ok=True)
