@@ -14,6 +14,7 @@ import pytest
 from foreglow import _native
 from foreglow.datasets import PVDN, Selection
 from foreglow.datasets.images import png
+from foreglow.datasets.pvdn.schema import EarlierImage
 from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.datasets.simulated import BoxShares
 from foreglow.datasets.simulated.shares import write_shares
@@ -230,6 +231,19 @@ def test_an_image_of_the_same_size_and_time_is_noticed(own: PVDN, tmp_path: Path
         os.utime(path, ns=(10**18, 10**18))
         states.append(cached_samples(own, PLAIN, tmp_path).crops.tobytes())
     assert states[0] != states[1]
+
+
+def test_an_earlier_image_counts(own: PVDN, monkeypatch: pytest.MonkeyPatch) -> None:
+    earlier = EarlierImage(file_name="before.png", age_ms=50.0)
+    records = {image_id: own.image(image_id).model_copy(update={"earlier": earlier}) for image_id in own.frame_ids}
+    monkeypatch.setattr(own, "image", records.__getitem__)
+    path = own.image_path(102).with_name("before.png")
+    digests = [samples_digest(own, PLAIN)]
+    for level in (1, 2):
+        path.write_bytes(png(np.full((4, 4), level, np.uint8)))
+        os.utime(path, ns=(10**18, 10**18))
+        digests.append(samples_digest(own, PLAIN))
+    assert len(set(digests)) == 3
 
 
 def test_state_of_an_image_is_of_its_end(tmp_path: Path) -> None:
