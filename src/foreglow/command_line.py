@@ -110,7 +110,7 @@ def listed(name: str, text: str) -> tuple[str, ...]:
     """The names in the value of an option that takes several, with commas between them.
 
     Raises:
-        ValueError: If one comes twice.
+        ValueError: If one comes twice, or is empty.
 
     >>> listed("--split", "val, test")
     ('val', 'test')
@@ -118,6 +118,8 @@ def listed(name: str, text: str) -> tuple[str, ...]:
     from foreglow.files import check_each_once
 
     names = tuple(part.strip() for part in text.split(","))
+    if "" in names:
+        raise ValueError(f"{name}: expected names with commas between them, got {text!r}")
     check_each_once(names, name)
     return names
 

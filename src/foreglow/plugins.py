@@ -88,11 +88,12 @@ def make(
             made = entry(*arguments)
     except TypeError as error:
         kinds = ", ".join(type(argument).__name__ for argument in arguments)
-        raise ValueError(f"{field}: {name} cannot be made of {kinds}: {words_of(error)}") from error
+        words = words_of(error) or type(error).__name__
+        raise ValueError(f"{field}: {name} cannot be made of {kinds}: {words}") from error
     except Exception as error:
         if raising(error) is not None:  # whose file and line are known
             raise
-        raise ValueError(f"{field}: {name} cannot be made: {type(error).__name__}: {words_of(error)}") from error
+        raise ValueError(f"{field}: {name} cannot be made: {described(error)}") from error
     check_methods(f"{field}: {name}", made, methods)
     return made
 
@@ -149,7 +150,7 @@ def imported(field: str, target: str) -> Any:
         with contextlib.chdir(Path.cwd()):
             found = pkgutil.resolve_name(target)
     except (Exception, SystemExit) as error:  # whatever a foreign module raises
-        raise ValueError(f"{field}: {target} cannot be imported: {type(error).__name__}: {words_of(error)}") from error
+        raise ValueError(f"{field}: {target} cannot be imported: {described(error)}") from error
     if not callable(found):
         raise ValueError(f"{field}: {target}: expected a class, got {type(found).__name__}")
     return found
@@ -196,6 +197,16 @@ def words_of(error: BaseException) -> str:
     ('expected a number', '')
     """
     return " ".join(_text_of(error).split())
+
+
+def described(error: BaseException) -> str:
+    """The kind of an error, and what it says, if it says something, as `words_of`.
+
+    >>> described(ValueError("too much")), described(ValueError())
+    ('ValueError: too much', 'ValueError')
+    """
+    words = words_of(error)
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
 
 
 def printable(text: str) -> str:

@@ -29,6 +29,10 @@ _CLEARED: set[Path] = set()
 """Folders that this process has cleared of what killed processes left."""
 
 
+class RemadeWarning(UserWarning):
+    """What was kept on disk to be used again is damaged, and is made again."""
+
+
 @contextlib.contextmanager
 def open_atomic(path: Path) -> Iterator[BinaryIO]:
     """A file to write to, which becomes `path` when the block ends without an error, and vanishes otherwise.

@@ -194,10 +194,10 @@ def test_an_interrupt_while_a_module_loads(monkeypatch: pytest.MonkeyPatch, tmp_
     [
         ("ZeroDivisionError('nothing')", "ZeroDivisionError: nothing"),
         ("OSError(28, 'No space', 'a')", "OSError: [Errno 28] No space: 'a'"),
-        ("MemoryError()", "MemoryError: "),
+        ("MemoryError()", "MemoryError"),
         ("BrokenPipeError(32, 'Broken pipe')", "BrokenPipeError: [Errno 32] Broken pipe"),
         ("SystemExit(0)", "SystemExit: 0"),
-        ("GeneratorExit()", "GeneratorExit: "),
+        ("GeneratorExit()", "GeneratorExit"),
         ("type('Mute', (ValueError,), {'__str__': lambda self: 1 / 0})()", "Mute: what it says cannot be read"),
     ],
 )
@@ -286,6 +286,18 @@ def test_a_working_directory_that_is_gone(monkeypatch: pytest.MonkeyPatch, tmp_p
     with pytest.raises(FileNotFoundError) as caught:
         Path.cwd()
     assert errors.one_line(caught.value) == ("the working directory is there no more", 2)
+
+
+def test_no_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "_candidate_tempdir_list", list)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with pytest.raises(FileNotFoundError) as caught:
+        tempfile.gettempdir()
+    line, code = errors.one_line(caught.value)
+    assert line.startswith(
+        "expected room for a temporary file, or TMPDIR to name a folder with some: No usable temporary"
+    )
+    assert code == 2
 
 
 def test_our_own_cameras_are_no_plug_ins() -> None:

@@ -121,6 +121,8 @@ def test_what_is_named_twice_would_count_twice(tmp_path: Path, monkeypatch: pyte
     once = "expected each once"
     assert complaint(*time_benefit, f"{split}, {split}") == f"foreglow: --split: {once}, {split} comes twice\n"
     assert f"--split: {once}, {other} comes twice" in complaint(*time_benefit, f"{split},test")
+    wrong = f"--split: expected names with commas between them, got '{split},'"
+    assert complaint(*time_benefit, f"{split},") == f"foreglow: {wrong}\n"
     ranges = ("experiment", "detection-range", *out)
     assert f"DATA: {once}, {split} comes twice" in complaint(*ranges, root, split)
     assert f"--rows: {once}, paper comes twice" in complaint(

@@ -27,8 +27,8 @@ from typer.core import TyperGroup
 
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
-from foreglow.plugins import first_line_of, printable, raising, words_of
-from foreglow.whole_files import output_words
+from foreglow.plugins import described, first_line_of, printable, raising, words_of
+from foreglow.whole_files import RemadeWarning, output_words
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -157,6 +157,8 @@ class Commands(TyperGroup):
         if not is_debug:  # what libraries have to say beside their errors
             logging.lastResort = logging.NullHandler()
             warnings.simplefilter("ignore")
+            warnings.simplefilter("always", RemadeWarning)
+            warnings.showwarning = _show_warning
         inputs = _inputs([*ctx._protected_args, *ctx.args])
         try:
             return super().invoke(ctx)
@@ -203,6 +205,10 @@ def _complain(line: str) -> None:
         typer.echo(f"foreglow: {line}", err=True)
 
 
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    _complain(str(message))
+
+
 def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, int]:
     """The error as one line, and the exit code; of an unforeseen error a report is written.
 
@@ -212,7 +218,7 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     """
     origin = raising(error)
     if origin is not None:
-        return shortened(f"{origin}: the plug-in raised {type(error).__name__}: {words_of(error)}"), 2
+        return shortened(f"{origin}: the plug-in raised {described(error)}"), 2
     if isinstance(error, ModuleNotFoundError) and error.name in EXTRAS:
         return f"{error.name} is not installed; this command needs: pip install 'foreglow[{EXTRAS[error.name]}]'", 2
     broken = _broken_package(error)
@@ -221,7 +227,11 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
         hint = "; source the setup file of ROS 2 first" if EXTRAS.get(broken) == "ros2" else ""
         return f"{broken} is installed, but cannot be loaded: {shortened(words, 400)}{hint}", 2
     if isinstance(error, FileNotFoundError) and error.errno == errno.ENOENT and error.filename is None:
-        return "the working directory is there no more", 2
+        if error.strerror == os.strerror(errno.ENOENT):
+            return "the working directory is there no more", 2
+        return shortened(
+            f"expected room for a temporary file, or TMPDIR to name a folder with some: {error.strerror}"
+        ), 2
     closed = _closed_folder(error)
     if closed is not None:
         return shortened(f"{closed}: expected a folder that may be entered, the right to (x) is missing"), 2
@@ -236,7 +246,7 @@ def one_line(error: BaseException, inputs: Sequence[Path] = ()) -> tuple[str, in
     if isinstance(error, (ValueError, OSError)):
         return shortened(words_of(error) or type(error).__name__), 2
     is_short = isinstance(error, MemoryError) and not words_of(error)  # else it says how much was asked for
-    words = NO_MEMORY if is_short else shortened(f"{type(error).__name__}: {words_of(error)}", 200)
+    words = NO_MEMORY if is_short else shortened(described(error), 200)
     path = _input_read(error, inputs)
     if path is not None:
         return shortened(f"{path}: cannot be read: {words}"), 2

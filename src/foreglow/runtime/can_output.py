@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import CanFrame, CommandEncoder
 from foreglow.datasets.vehicle_logs.can_writing import keep_times
-from foreglow.plugins import words_of
+from foreglow.plugins import described
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
 from foreglow.whole_files import AtomicFile, naming
@@ -120,8 +120,9 @@ def open_bus(channel: str) -> can.BusABC:
     except (can.CanError, OSError) as error:
         raise OSError(f"{channel}: {error}") from error
     except Exception as error:  # a driver that is missing, or that fails in its own way without one
-        words = f"{type(error).__name__}: {words_of(error)}"
-        raise ValueError(f"{channel}: expected a bus whose driver is installed and works: {words}") from error
+        raise ValueError(
+            f"{channel}: expected a bus whose driver is installed and works: {described(error)}"
+        ) from error
 
 
 class CanBus:

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,12 +13,15 @@ import pytest
 
 from foreglow import _native
 from foreglow.datasets import PVDN, Selection
+from foreglow.datasets.images import png
+from foreglow.datasets.pvdn.schema import EarlierImage
 from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.datasets.simulated import BoxShares
 from foreglow.datasets.simulated.shares import write_shares
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation.boxes.lights import SEEN_ON, Light
 from foreglow.lab.learning import sample_cache
+from foreglow.lab.learning.kept_files import END_BYTES, image_state
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
 from foreglow.lab.learning.samples import (
     ARRAYS,
@@ -31,6 +37,7 @@ from foreglow.lab.learning.samples import (
 )
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame
+from foreglow.whole_files import RemadeWarning, output_words
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
 from tests.lab.learning.tiny_training import make_samples
 
@@ -185,13 +192,91 @@ def test_whatever_matters_changes_the_digest(own: PVDN) -> None:
     assert samples_digest(own, PLAIN) == digests[-1]
 
 
+@pytest.mark.parametrize("is_cut", [True, False])
 @pytest.mark.parametrize("name", ["samples.json", "labels.npy", "crops.npy"])
-def test_a_damaged_cache_is_made_again(own: PVDN, tmp_path: Path, name: str) -> None:
+def test_a_damaged_cache_is_made_again(own: PVDN, tmp_path: Path, name: str, *, is_cut: bool) -> None:
     first = cached_samples(own, PLAIN, tmp_path)
-    labels = first.labels.copy()
-    path = tmp_path / first.digest[:16] / name
-    path.write_bytes(path.read_bytes()[:-20])
-    assert cached_samples(own, PLAIN, tmp_path).labels.tolist() == labels.tolist()
+    expected = {array: np.array(getattr(first, array)) for array in ("labels", "crops")}
+    folder = tmp_path / first.digest[:16]
+    content = bytearray((folder / name).read_bytes())
+    content[-20] ^= 1
+    (folder / name).write_bytes(content[:-20] if is_cut else content)
+    with pytest.warns(RemadeWarning, match=f"^{re.escape(str(folder))}: the samples kept here are damaged"):
+        again = cached_samples(own, PLAIN, tmp_path)
+    for array, values in expected.items():
+        np.testing.assert_array_equal(getattr(again, array), values)
+
+
+@pytest.mark.parametrize("name", ["", "samples.json", "crops.npy"])
+def test_something_else_in_place_of_a_cache(own: PVDN, tmp_path: Path, name: str) -> None:
+    folder = tmp_path / cached_samples(own, PLAIN, tmp_path).digest[:16]
+    if name:
+        (folder / name).unlink()
+        (folder / name).mkdir()
+    else:
+        shutil.rmtree(folder)
+        folder.write_text("a file")
+    with pytest.warns(RemadeWarning):
+        assert len(cached_samples(own, PLAIN, str(tmp_path))) > 0
+
+
+def test_an_image_of_the_same_size_and_time_is_noticed(own: PVDN, tmp_path: Path) -> None:
+    path = own.image_path(102)
+    image = own.read(102).image
+    contents = (png(image), png(image[::-1]))
+    size = max(map(len, contents))  # what follows the end of a PNG is not read
+    states = []
+    for content in contents:
+        path.write_bytes(content.ljust(size, b"\0"))
+        os.utime(path, ns=(10**18, 10**18))
+        states.append(cached_samples(own, PLAIN, tmp_path).crops.tobytes())
+    assert states[0] != states[1]
+
+
+def test_an_earlier_image_counts(own: PVDN, monkeypatch: pytest.MonkeyPatch) -> None:
+    earlier = EarlierImage(file_name="before.png", age_ms=50.0)
+    records = {image_id: own.image(image_id).model_copy(update={"earlier": earlier}) for image_id in own.frame_ids}
+    monkeypatch.setattr(own, "image", records.__getitem__)
+    path = own.image_path(102).with_name("before.png")
+    digests = [samples_digest(own, PLAIN)]
+    for level in (1, 2):
+        path.write_bytes(png(np.full((4, 4), level, np.uint8)))
+        os.utime(path, ns=(10**18, 10**18))
+        digests.append(samples_digest(own, PLAIN))
+    assert len(set(digests)) == 3
+
+
+def test_state_of_an_image_is_of_its_end(tmp_path: Path) -> None:
+    path, states = tmp_path / "noise.png", set()
+    image = np.random.default_rng(0).integers(0, 256, (600, 500), np.uint8)
+    for y, x in ((0, 0), (300, 200), (599, 499), (0, 0)):
+        changed = image.copy()
+        changed[y, x] ^= 1
+        path.write_bytes(png(changed))
+        assert path.stat().st_size > 2 * END_BYTES
+        os.utime(path, ns=(10**18, 10**18))
+        states.add(image_state(path))
+    assert len(states) == 3
+    raw = tmp_path / "noise.npy"
+    for y in (0, 300, 599):
+        changed = image.copy()
+        changed[y] ^= 1
+        np.save(raw, changed)
+        os.utime(raw, ns=(10**18, 10**18))
+        states.add(image_state(raw))
+    assert len(states) == 6
+
+
+def test_a_full_disk_is_named(own: PVDN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(file: Any, *_: object) -> None:
+        file.close()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np.lib.format, "write_array_header_1_0", fails)
+    with pytest.raises(OSError, match="No space left") as caught:
+        cached_samples(own, PLAIN, tmp_path / "cache")
+    assert output_words(caught.value) == f"{tmp_path / 'cache'}: No space left on device"
+    assert list((tmp_path / "cache").iterdir()) == []
 
 
 def test_an_interrupted_collection_leaves_nothing(own: PVDN, tmp_path: Path) -> None:

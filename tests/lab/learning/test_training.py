@@ -3,6 +3,9 @@ from __future__ import annotations
 import copy
 import csv
 import dataclasses
+import math
+import resource
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ import torch
 
 from foreglow.lab.learning import training
 from foreglow.lab.learning.batches import epoch_indices, sample_weights
+from foreglow.lab.learning.checkpoints import Checkpoint
 from foreglow.lab.learning.recipes import Recipe, changed
 from foreglow.lab.learning.samples import NO_GROUP, Samples
 from foreglow.lab.learning.scores import kind_accuracy, light_logits
@@ -304,6 +308,56 @@ def test_damaged_checkpoint(tmp_path: Path, keep: int) -> None:
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):
         run(tmp_path, one)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, None) for name in Checkpoint.__slots__),
+        *((name, math.nan) for name in ("identity", "num_steps", "best_epoch")),
+        *((name, -1) for name in ("identity", "num_steps", "best_epoch", "epochs")),
+        *((name, {}) for name in ("network", "averaged", "optimiser", "best")),
+        ("best_epoch", 2),
+        ("epochs", [{}]),
+    ],
+)
+def test_checkpoint_of_other_kinds(tmp_path: Path, name: str, value: Any) -> None:
+    _expect_damaged(tmp_path, lambda content: content | {name: value})
+
+
+@pytest.mark.parametrize("name", ["network", "best"])
+def test_checkpoint_that_is_not_finite(tmp_path: Path, name: str) -> None:
+    def spoilt(content: dict[str, Any]) -> dict[str, Any]:
+        next(iter(content[name].values()))[0] = math.nan
+        return content
+
+    _expect_damaged(tmp_path, spoilt)
+
+
+def _expect_damaged(folder: Path, damage: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    one = changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0})
+    train(one, TRAIN, VAL, str(folder), make_network=make_tiny, device="cpu")
+    path = folder / "checkpoint.pt"
+    torch.save(damage(torch.load(path, weights_only=True)), path)
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):
+        run(folder, one)
+
+
+def test_a_checkpoint_on_a_full_disk_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.pt"
+    one = changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0})
+    run(tmp_path, one)
+    size = path.stat().st_size
+    path.unlink()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size - 100, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large") as caught:
+            run(tmp_path, one)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.filename == str(path)
+    assert not path.exists()
 
 
 def without(label: int) -> Samples:

@@ -124,7 +124,7 @@ def test_not_a_checkpoint(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(ValueError, match=r"weights\.pt: expected a plain torch state dict") as caught:
         import_weights(weights, tmp_path / "model.onnx")
     assert "\n" not in str(caught.value)
-    assert re.search("without code(: .* |, got a file that torch cannot read)", str(caught.value))
+    assert re.search(r"without code, got a file that torch cannot read \(\w+\)$", str(caught.value))
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.99])
@@ -144,7 +144,9 @@ class _Code:
 def test_code_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     weights = tmp_path / "weights.pt"
     torch.save({"conv1.weight": _Code()}, weights)
-    with pytest.raises(ValueError, match="expected a plain torch state dict without code"):
+    with pytest.raises(
+        ValueError, match=r"expected a plain torch state dict without code, got a file that holds (\w+\.)?print$"
+    ):
         import_weights(weights, tmp_path / "model.onnx")
     assert capsys.readouterr().out == ""
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import io
 import pickle
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,7 +14,8 @@ from typing import Any
 import torch
 
 from foreglow.files import shortened
-from foreglow.whole_files import open_atomic
+from foreglow.lab.learning.training_progress import Epoch
+from foreglow.whole_files import write_atomic
 
 NAME = "checkpoint.pt"
 _FORMAT = 1
@@ -52,8 +56,9 @@ def write_checkpoint(folder: Path, checkpoint: Checkpoint) -> None:
         OSError: If it cannot be written.
     """
     content = {name: getattr(checkpoint, name) for name in Checkpoint.__slots__}
-    with open_atomic(folder / NAME) as file:
-        torch.save({"format": _FORMAT, **content}, file)
+    file = io.BytesIO()  # torch.save does not say of a disk that it is full
+    torch.save({"format": _FORMAT, **content}, file)
+    write_atomic(folder / NAME, file.getvalue())
 
 
 def read_checkpoint(folder: Path, identity: Mapping[str, Any]) -> Checkpoint | None:
@@ -84,16 +89,57 @@ def check_begun(folder: Path, recipe: Mapping[str, Any]) -> None:
 def _whole_checkpoint(path: Path) -> Checkpoint | None:
     if not path.is_file():
         return None
-    try:
+    with whole(path.parent):
         content = torch.load(path, map_location="cpu", weights_only=True)
         if content.pop("format") != _FORMAT:
             raise ValueError("another format")
-        return Checkpoint(**content)
+        checkpoint = Checkpoint(**content)
+        _check_kinds(checkpoint)
+    return checkpoint
+
+
+@contextlib.contextmanager
+def whole(folder: Path) -> Iterator[None]:
+    """What cannot be done in the block with what the checkpoint in `folder` holds is the fault of that file.
+
+    Raises:
+        ValueError: If so.
+    """
+    try:
+        yield
     except (
         *(pickle.UnpicklingError, RuntimeError, EOFError, OSError),
         *(ValueError, LookupError, AttributeError, TypeError),
     ) as error:
-        raise ValueError(f"{path}: expected a whole checkpoint, found it damaged; remove it to start anew") from error
+        raise ValueError(
+            f"{folder / NAME}: expected a whole checkpoint, found it damaged; remove it to start anew"
+        ) from error
+
+
+def _check_kinds(checkpoint: Checkpoint) -> None:
+    """Checks what a training takes for granted of its own checkpoint.
+
+    Raises:
+        ValueError: If a value is of another kind, or a weight is not finite.
+        TypeError: Likewise.
+    """
+    states = (checkpoint.network, checkpoint.averaged, checkpoint.best)
+    are_tables = all(isinstance(table, dict) for table in (checkpoint.identity, checkpoint.optimiser, *states))
+    if not are_tables or not all(bool(torch.isfinite(value).all()) for state in states for value in state.values()):
+        raise ValueError("expected tables, and finite weights")
+    names = {each.name for each in dataclasses.fields(Epoch)}
+    for row in checkpoint.epochs:
+        if row.keys() != names or not all(type(value) in (int, float) for value in row.values()):
+            raise ValueError("expected the figures of an epoch")
+    counts = (checkpoint.best_epoch, checkpoint.num_steps)
+    is_counted = all(type(count) is int and count >= 0 for count in counts)
+    if not is_counted or not min(1, len(checkpoint.epochs)) <= checkpoint.best_epoch <= len(checkpoint.epochs):
+        raise ValueError("expected the number of the best epoch, and that of all steps")
+
+
+def shapes(state: State) -> dict[str, torch.Size]:
+    """The shape of each tensor, by name."""
+    return {name: value.shape for name, value in state.items()}
 
 
 def _check_same(path: Path, began: Mapping[str, Any], wanted: Mapping[str, Any], names: Iterable[str]) -> None:

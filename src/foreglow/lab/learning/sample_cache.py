@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,9 +22,11 @@ from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.simulated import shares_path
 from foreglow.folder_lock import FolderLock
+from foreglow.lab.learning.kept_files import checksum, image_state
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
+from foreglow.whole_files import RemadeWarning, naming
 
-FORMAT = 3
+FORMAT = 4
 """Increased whenever the samples made from the same images and configuration change."""
 
 _DONE = "samples.json"
@@ -32,12 +35,13 @@ _PARTIAL = re.compile(r"\.[0-9a-f]{16}\.\d+\.partial")
 
 
 def cached_samples(
-    dataset: LabelledSource, config: SampleConfig, cache: Path, progress: Progress | None = None
+    dataset: LabelledSource, config: SampleConfig, cache: Path | str, progress: Progress | None = None
 ) -> Samples:
     """The samples of the selected images of `dataset`, memory-mapped from a folder in `cache`.
 
     Unless samples of these images, labels and configuration exist, they are collected and written image by image:
     0.35 GB for 86,000 crops of 64x64. An interrupted call leaves nothing behind, and what a killed one left is removed.
+    Damaged ones are made again, with a `RemadeWarning`.
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
@@ -45,10 +49,13 @@ def cached_samples(
         OSError: If the samples cannot be written.
     """
     digest = samples_digest(dataset, config)
+    cache = Path(cache)
     folder = cache / digest[:16]
     found = _read(folder, digest)
     if found is not None:
         return found
+    if folder.exists():
+        warnings.warn(RemadeWarning(f"{folder}: the samples kept here are damaged, and are made again"), stacklevel=2)
     cache.mkdir(parents=True, exist_ok=True)
     _clear(cache)
     partial = cache / f".{digest[:16]}.{os.getpid()}.partial"
@@ -57,8 +64,12 @@ def cached_samples(
     try:
         num_samples = _write(partial, samples_by_image(dataset, config, progress), no_samples(config.inputs))
         about = {"digest": digest, "data": str(dataset.root), "num_samples": num_samples, "format": FORMAT}
-        (partial / _DONE).write_text(json.dumps(about | {"config": config.model_dump(mode="json")}, indent=2) + "\n")
+        about |= {"config": config.model_dump(mode="json"), "checksums": _checksums(partial)}
+        with naming(partial / _DONE):
+            (partial / _DONE).write_text(json.dumps(about, indent=2) + "\n")
         shutil.rmtree(folder, ignore_errors=True)
+        if folder.is_file():
+            folder.unlink()
         partial.rename(folder)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
@@ -82,7 +93,7 @@ def _clear(cache: Path) -> None:
 def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
     """SHA-256 of everything that determines the samples.
 
-    That is: images (path, size, time of change), labels, configuration, and the code of the two stages.
+    That is: images (path and `image_state`), labels, configuration, and the code of the two stages.
     """
     digest = hashlib.sha256()
 
@@ -92,12 +103,12 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
     add(FORMAT, _code_digest(), config.model_dump(mode="json"), dataset.rate_hz)
     for image_id in dataset.frame_ids:
         path = dataset.image_path(image_id)
-        state = path.stat()
         sequence = dataset.sequence(image_id)
         about_time = (sequence.id, sequence.start_time_ms, dataset.time_s(image_id))
-        add(image_id, str(path.resolve()), state.st_size, state.st_mtime_ns, *about_time)
+        add(image_id, str(path.resolve()), image_state(path).hex(), *about_time)
         if (earlier := dataset.image(image_id).earlier) is not None:
-            add(earlier.file_name, earlier.age_ms)
+            before = path.with_name(earlier.file_name)
+            add(earlier.file_name, earlier.age_ms, image_state(before).hex() if before.is_file() else None)
         digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
     if config.by_light:
         for sequence in dataset.sequences:
@@ -123,31 +134,39 @@ def _write(folder: Path, parts: Iterator[Samples], empty: Samples) -> int:
         for part in parts:
             num_samples += len(part)
             for name, file in files.items():
-                file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
+                with naming(Path(file.name)):
+                    file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
         for name, file in files.items():
             _write_header(file, getattr(empty, name), num_samples)
     finally:
         for file in files.values():
-            file.close()
+            with naming(Path(file.name)):
+                file.close()
     return num_samples
 
 
 def _write_header(file: BinaryIO, empty: np.ndarray[Any, Any], num_samples: int) -> None:
     """Writes the header of a .npy file of `num_samples` rows; NumPy leaves room in it for the first axis to grow."""
-    file.seek(0)
     header = {"descr": empty.dtype.str, "fortran_order": False, "shape": (num_samples, *empty.shape[1:])}
-    np.lib.format.write_array_header_1_0(file, header)
+    with naming(Path(file.name)):
+        file.seek(0)
+        np.lib.format.write_array_header_1_0(file, header)
+
+
+def _checksums(folder: Path) -> dict[str, int]:
+    return {name: checksum(folder / f"{name}.npy") for name in ARRAYS}
 
 
 def _read(folder: Path, digest: str) -> Samples | None:
-    """The samples in `folder` if they are complete and have this digest."""
+    """The samples in `folder` if they are as they were written, and have this digest."""
     try:
-        if json.loads((folder / _DONE).read_text(encoding="utf-8"))["digest"] != digest:
+        about = json.loads((folder / _DONE).read_text(encoding="utf-8"))
+        if about["digest"] != digest or about["checksums"] != _checksums(folder):
             return None
         # Only the crops are memory-mapped; NumPy cannot map an empty array.
         has_crops = (folder / "crops.npy").stat().st_size > _HEADER_BYTES
         modes = dict.fromkeys(ARRAYS) | {"crops": "r" if has_crops else None}
         arrays = {name: np.load(folder / f"{name}.npy", mode, allow_pickle=False) for name, mode in modes.items()}
         return Samples(**arrays, digest=digest)
-    except (FileNotFoundError, KeyError, *NPY_ERRORS):
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, KeyError, *NPY_ERRORS):
         return None

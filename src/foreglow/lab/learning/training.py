@@ -35,7 +35,7 @@ from foreglow.lab.learning.batches import (
     sample_weights,
     set_batches,
 )
-from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, write_checkpoint
+from foreglow.lab.learning.checkpoints import Checkpoint, State, read_checkpoint, shapes, whole, write_checkpoint
 from foreglow.lab.learning.networks import COMPARING, learnt_logits, logits_of, recipe_network
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.learning.samples import Samples, check_learnable, set_bounds, set_sizes
@@ -94,7 +94,7 @@ def train(
     recipe: Recipe,
     train_samples: Samples,
     val_samples: Samples,
-    folder: Path,
+    folder: Path | str,
     *,
     make_network: MakeNetwork | None = None,
     start: str = "",
@@ -126,7 +126,7 @@ def train(
         ValueError: If there is no positive or no negative sample, the samples do not fit each other, the folder holds
             another training or a damaged checkpoint, or there is no such device.
     """
-    chosen = torch_device(device)
+    chosen, folder = torch_device(device), Path(folder)
     for name, samples in (("train", train_samples), ("val", val_samples)):
         check_learnable(samples, f"{name} samples", has_kinds=recipe.kinds and name == "train")
     folder.mkdir(parents=True, exist_ok=True)
@@ -147,7 +147,8 @@ def train(
         if checkpoint is None:
             checkpoint = Checkpoint(identity, *trainer.states())
         else:
-            trainer.restore(checkpoint)
+            with whole(folder):
+                trainer.restore(checkpoint)
         while not _is_over(recipe, checkpoint):
             epoch = trainer.run_epoch(checkpoint, val_samples, counting, progress)
             checkpoint.epochs.append(dataclasses.asdict(epoch))
@@ -159,7 +160,8 @@ def train(
             if progress is not None:
                 progress.epoch(epoch, recipe.epochs)
     network = trainer.network
-    network.load_state_dict(checkpoint.best)
+    with whole(folder):
+        network.load_state_dict(checkpoint.best)
     val_logits = score_samples(network, val_samples, chosen)
     epochs = tuple(Epoch(**row) for row in checkpoint.epochs)  # type: ignore[arg-type]
     return TrainingResult(
@@ -267,6 +269,8 @@ class _Trainer:
 
     def restore(self, checkpoint: Checkpoint) -> None:
         self.network.load_state_dict(checkpoint.network)
+        if shapes(checkpoint.averaged) != shapes(self._averaged):
+            raise ValueError("expected the running mean of these weights")
         # Copies, since those of the best epoch may share their memory, also in the file.
         self._averaged = {name: value.to(self._device, copy=True) for name, value in checkpoint.averaged.items()}
         self._optimiser.load_state_dict(checkpoint.optimiser)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import re
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.lab.learning.export import Layers, layers_from_state, write_onnx
-from foreglow.plugins import first_line_of
+from foreglow.plugins import words_of
 
 
 def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layers:
@@ -81,10 +82,10 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         AttributeError,
         TypeError,
     ) as error:
-        # Of a file that is none, torch's unpickler gives a byte, a key or nothing.
-        reason = first_line_of(error) if isinstance(error, RuntimeError | pickle.UnpicklingError) else ""
-        told = f": {reason}" if " " in reason else f", got a file that torch cannot read ({type(error).__name__})"
-        raise ValueError(f"{path}: expected a plain torch state dict without code{told}") from error
+        # What torch says is long, has escape codes, and advises to run the code in the file.
+        other = re.search(r"GLOBAL ([\w.]+)", words_of(error)) if isinstance(error, pickle.UnpicklingError) else None
+        found = f"that holds {other[1]}" if other else f"that torch cannot read ({type(error).__name__})"
+        raise ValueError(f"{path}: expected a plain torch state dict without code, got a file {found}") from error
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: expected a state dict, got {type(state).__name__}")
     arrays: dict[str, NDArray[Any]] = {}

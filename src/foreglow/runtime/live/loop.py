@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from foreglow.config import PipelineConfig
 from foreglow.photometry import read_headlamps
-from foreglow.plugins import words_of
+from foreglow.plugins import described, words_of
 from foreglow.runs.summary_file import LiveSummary
 from foreglow.runs.tally import Tally
 from foreglow.runtime.health import Health, LiveSink
@@ -257,7 +257,7 @@ class LiveLoop:
             except BaseException as error:  # no signal's, as this is not the main thread
                 if not self._source.is_endless or isinstance(error, _UnfitError):
                     self._error = error
-                reason = f"{type(error).__name__}: {words_of(error)}"
+                reason = described(error)
             if not self._source.is_endless or self._error is not None:
                 self._has_ended.set()
                 return

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from foreglow.config import LiveConfig
-from foreglow.plugins import words_of
+from foreglow.plugins import described
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.memory import release_memory
@@ -141,7 +141,7 @@ class Worker:
         try:
             self._pipeline = self._make_pipeline()
         except BaseException as error:  # such as a model file that is being replaced: tried again later
-            self._book.note(STAGE, [LiveFault.NO_PIPELINE], _described(error))
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], described(error))
         finally:
             self._making_since_s = None
         self._num_failures = 0
@@ -155,7 +155,7 @@ class Worker:
         try:
             result = pipeline.step(frame, now_ns=self._now_ns, faults=faults)
         except BaseException as error:  # of any stage, no signal's: low beam, and the next frame is another chance
-            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {_described(error)}")
+            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {described(error)}")
             self._num_failures += 1
             if self._num_failures >= self._config.max_failures:
                 self._pipeline = None
@@ -163,7 +163,3 @@ class Worker:
         self._num_failures = 0
         self._book.note(STAGE)
         return Stepped(arrival, begun_ns, result)
-
-
-def _described(error: BaseException) -> str:
-    return f"{type(error).__name__}: {words_of(error)}"

@@ -28,6 +28,7 @@ from foreglow.lab.learning.tuning.measurement import (
 )
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame, Image
+from foreglow.whole_files import RemadeWarning
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.learning.night_set import make_night_set
 
@@ -135,3 +136,29 @@ def test_stack_is_decoded_once_and_again_when_a_file_changes(val: PVDN, tmp_path
     stack()
     assert counts == [1, 2, 1, 2]
     assert len(list(tmp_path.glob("*.bin"))) == 2
+
+
+@pytest.mark.parametrize("suffix", [".bin", ".json"])
+def test_damaged_frames_are_decoded_again(val: PVDN, tmp_path: Path, suffix: str) -> None:
+    stack = stack_frames(val, (100, 101), tmp_path)
+    damaged = stack.path.with_suffix(suffix)
+    content = bytearray(damaged.read_bytes())
+    content[len(content) // 2] ^= 1
+    damaged.write_bytes(content)
+    with pytest.warns(RemadeWarning, match=r"\.bin: the frames kept here are damaged, and are decoded again"):
+        again = stack_frames(val, (100, 101), tmp_path)
+    assert again == stack
+    np.testing.assert_array_equal(again.images()[0], val.read(100).image)
+
+
+def test_a_frame_of_the_same_size_and_time_is_noticed(val: PVDN, tmp_path: Path) -> None:
+    path = val.image_path(100)
+    content = path.read_bytes()
+    image = val.read(100).image
+    turned = image[::-1]
+    size = max(len(png(image)), len(png(turned)))
+    for changed in (image, turned):
+        path.write_bytes(png(changed).ljust(size, b"\0"))
+        os.utime(path, ns=(10**18, 10**18))
+        np.testing.assert_array_equal(stack_frames(val, (100, 101), tmp_path).images()[0], changed)
+    path.write_bytes(content)

@@ -257,12 +257,18 @@ def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:
     assert labels.read_bytes() == before
 
 
-def test_decoded_images_that_were_cut_are_decoded_again(data: Path, tmp_path: Path) -> None:
-    first = searched(data, tmp_path / "out", 2, num_images=4)
-    for path in (tmp_path / "out/frames").iterdir():
-        path.write_bytes(path.read_bytes()[:10])
-    again = searched(data, tmp_path / "out", 3, num_images=4)
-    assert drawn(again.trials)[:2] == drawn(first.trials)
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_damaged_frames_are_decoded_again(data: Path, tmp_path: Path, *, is_cut: bool) -> None:
+    out = tmp_path / "out"
+    first = searched(data, out, 2, num_images=4)
+    (frames,) = (out / "frames").glob("*.bin")
+    content = frames.read_bytes()
+    frames.write_bytes(content[:10] if is_cut else bytes(len(content)))
+    done = foreglow_command("tune", data, "--trials", 3, "--images", 4, "--seed", 3, "--out", out)
+    assert done.exit_code == 0, done.output
+    assert f"foreglow: {frames}: the frames kept here are damaged, and are decoded again\n" in done.stderr
+    assert frames.read_bytes() == content
+    assert drawn(searched(data, out, 3, num_images=4).trials)[:2] == drawn(first.trials)
 
 
 def test_other_data_or_objective_is_another_study(data: Path, tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +22,10 @@ from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.annotation import Progress
+from foreglow.lab.learning.kept_files import image_state
 from foreglow.proposals import make_proposer
 from foreglow.types import Image
-from foreglow.whole_files import open_atomic, write_atomic
+from foreglow.whole_files import RemadeWarning, open_atomic, write_atomic
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +35,13 @@ class FrameStack:
     Attributes:
         shapes: Rows and columns of each frame.
         dtypes: Data type of each frame, uint8 or uint16.
+        digest: SHA-256 of the file.
     """
 
     path: Path
     shapes: tuple[tuple[int, int], ...]
     dtypes: tuple[str, ...]
+    digest: str
 
     def images(self) -> list[Image]:
         """The frames, memory-mapped and read-only, in order."""
@@ -61,6 +65,8 @@ def stack_frames(
 ) -> FrameStack:
     """The images `image_ids` of `dataset`, decoded into `folder`; the file of an earlier call is used again.
 
+    A damaged one is decoded again, with a `RemadeWarning`.
+
     Raises:
         FileNotFoundError: If an image is missing.
         ValueError: If one is broken.
@@ -70,41 +76,49 @@ def stack_frames(
     files = hashlib.sha256()
     for image_id in image_ids:
         path = dataset.image_path(image_id)
-        state = path.stat()
-        files.update(f"{path.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\0".encode(errors="surrogateescape"))
+        files.update(f"{path.resolve()}\0".encode(errors="surrogateescape") + image_state(path))
     pixels = folder / f"{files.hexdigest()[:16]}.bin"
     index = pixels.with_suffix(".json")
     if (decoded := _decoded(pixels, index)) is not None:
         return decoded
+    if pixels.exists():
+        warnings.warn(RemadeWarning(f"{pixels}: the frames kept here are damaged, and are decoded again"), stacklevel=2)
     entries: list[tuple[int, int, str]] = []
+    written = hashlib.sha256()
     with open_atomic(pixels) as file, ThreadPoolExecutor(jobs) as pool:
         for done, image in enumerate(pool.map(lambda image_id: dataset.read(image_id).image, image_ids), start=1):
-            file.write(np.ascontiguousarray(image).tobytes())
+            content = np.ascontiguousarray(image).tobytes()
+            file.write(content)
+            written.update(content)
             entries.append((image.shape[0], image.shape[1], image.dtype.name))
             if progress is not None:
                 progress("frames decoded", done, len(image_ids))
-    write_atomic(index, json.dumps(entries).encode())
-    return _stack(pixels, entries)
+    about = {"frames": entries, "sha256": written.hexdigest()}
+    write_atomic(index, json.dumps(about).encode())
+    return _stack(pixels, about)
 
 
 def _decoded(pixels: Path, index: Path) -> FrameStack | None:
-    """The images that were decoded before; None if there are none, or a file was cut since."""
+    """The images that were decoded before; None if there are none, or they are damaged."""
     try:
         stack = _stack(pixels, json.loads(index.read_text()))
         size = sum(
             rows * columns * np.dtype(name).itemsize
             for (rows, columns), name in zip(stack.shapes, stack.dtypes, strict=True)
         )
-    except (FileNotFoundError, ValueError, TypeError):
+        with pixels.open("rb") as file:
+            is_whole = pixels.stat().st_size == size and hashlib.file_digest(file, "sha256").hexdigest() == stack.digest
+    except (FileNotFoundError, IsADirectoryError, ValueError, TypeError, LookupError):
         return None
-    return stack if pixels.is_file() and pixels.stat().st_size == size else None
+    return stack if is_whole else None
 
 
-def _stack(pixels: Path, entries: Sequence[tuple[int, int, str]]) -> FrameStack:
+def _stack(pixels: Path, about: Mapping[str, Any]) -> FrameStack:
     return FrameStack(
         pixels,
-        shapes=tuple((rows, columns) for rows, columns, _ in entries),
-        dtypes=tuple(dtype for _, _, dtype in entries),
+        shapes=tuple((rows, columns) for rows, columns, _ in about["frames"]),
+        dtypes=tuple(dtype for _, _, dtype in about["frames"]),
+        digest=about["sha256"],
     )
 
 
@@ -228,8 +242,7 @@ class Material:
     def digest(self) -> str:
         """A digest of the images with their ids and labels; the folder of the data does not matter."""
         state = hashlib.sha256(repr(self.image_ids).encode())
-        with self.frames.path.open("rb") as pixels:
-            state.update(hashlib.file_digest(pixels, "sha256").digest())
+        state.update(bytes.fromhex(self.frames.digest))
         for labelled in self.lights:
             state.update(labelled.points_px.tobytes())
             for flags in labelled.is_of_kind.values():

@@ -1,0 +1,48 @@
+"""What is kept on disk to be used again: whether it is whole, and still of the images it was made of."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zlib
+from pathlib import Path
+
+from foreglow.files import MIB
+
+END_BYTES = 64 << 10
+"""Of the end of a PNG, which is where the checksum of all its pixels is."""
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def image_state(path: Path) -> bytes:
+    """16 bytes that tell an image from any other that was in its place: of its size, time of change and contents.
+
+    Of a PNG, the last `END_BYTES` are read, of any other image all.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    with path.open("rb") as file:
+        state = os.fstat(file.fileno())
+        start = file.read(len(_PNG))
+        digest.update(b"%d %d " % (state.st_size, state.st_mtime_ns) + start)
+        if start == _PNG:
+            file.seek(max(file.tell(), state.st_size - END_BYTES))
+        while piece := file.read(MIB):
+            digest.update(piece)
+    return digest.digest()
+
+
+def checksum(path: Path) -> int:
+    """CRC-32 of a file.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    found = 0
+    with path.open("rb") as file:
+        while piece := file.read(MIB):
+            found = zlib.crc32(piece, found)
+    return found
