@@ -306,7 +306,7 @@ class Verge(SpecModel):
     ground: Literal["grass_ground", "soil", "gravel", "pavement"] = "grass_ground"
     snow: Share = 0.0
     grass_height_m: Annotated[float, Field(ge=0, le=5)] = 0.12
-    grass_per_m2: Annotated[float, Field(ge=0, le=1000)] = 20.0
+    grass_per_m2: Annotated[float, Field(ge=0, le=10_000)] = 20.0
 
 
 class SurroundingsSpec(SpecModel):
