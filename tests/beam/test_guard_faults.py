@@ -193,6 +193,14 @@ def test_speed_with_hysteresis() -> None:
     assert slow == [True, True, False, False, False, True, True, True, False, True]
 
 
+def test_an_unknown_speed_ends_no_slowness() -> None:
+    """Where it counts as high enough, low beam stays until 35 km/h are known again."""
+    guard = Guard(guard_config(needs_speed=False), LAMPS)
+    speeds_mps = [5.0, None, 33 / 3.6, 36 / 3.6, None, 33 / 3.6]
+    slow = [next_check(guard, frame_at(n, speed_mps=speed)).faults != () for n, speed in enumerate(speeds_mps)]
+    assert slow == [True, False, True, False, False, False]
+
+
 def test_hysteresis_after_an_unknown_speed() -> None:
     guard = running()
     next_check(guard, frame_at(25, speed_mps=None))

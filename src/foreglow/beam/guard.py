@@ -143,8 +143,10 @@ class Guard:
         faults = [] if frame.camera is not None else [GuardFault.NO_CAMERA]
         speed_mps = _speed_mps(frame)
         if math.isnan(speed_mps):
-            self._is_fast = not self._config.needs_speed
-            return faults if self._is_fast else [*faults, GuardFault.NO_SPEED]
+            if not self._config.needs_speed:
+                return faults
+            self._is_fast = False
+            return [*faults, GuardFault.NO_SPEED]
         self._is_fast = speed_mps >= (self._config.low_below_mps if self._is_fast else self._config.high_above_mps)
         return faults if self._is_fast else [*faults, GuardFault.TOO_SLOW]
 
