@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
 from av.stream import Disposition
 
 from foreglow.datasets import Video
 from foreglow.datasets.decoding import decoded
+from foreglow.datasets.images import read_image
+from tests.datasets.test_images import with_orientation
 from tests.shared_data import shared_file
 
 NUM_FRAMES = 24
@@ -143,6 +146,27 @@ def test_pictures_with_data_of_a_kind_that_the_decoder_does_not_name(tmp_path: P
     """Exif, in TIFF."""
     path = make_video(tmp_path / "clip.mov", codec="tiff", pixels="rgb24", num_frames=3)
     assert [int(frame.image.mean()) for frame in Video(path)] == [8, 16, 24]
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_the_orientation_in_exif_is_applied(tmp_path: Path, orientation: int) -> None:
+    stored = np.zeros((72, 96), np.uint8)
+    stored[:30, :40] = 220
+    photo = tmp_path / "photo.jpg"
+    cv2.imwrite(str(photo), cv2.merge([stored] * 3))
+    with_orientation(photo, orientation)
+    with av.open(str(tmp_path / "clip.avi"), "w") as container:
+        stream: Any = container.add_stream("mjpeg", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuvj420p"
+        for number in range(3):
+            packet = av.Packet(photo.read_bytes())
+            packet.pts = packet.dts = number
+            packet.time_base, packet.stream, packet.is_keyframe = Fraction(1, 10), stream, True
+            container.mux(packet)
+    expected = read_image(photo)
+    for frame in Video(tmp_path / "clip.avi"):
+        assert frame.image.shape == expected.shape
+        assert np.abs(frame.image.astype(int) - expected).mean() < 3
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])

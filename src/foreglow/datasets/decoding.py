@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import math
 import zlib
 from collections.abc import Iterator
@@ -229,17 +230,26 @@ def picture_chroma(picture: Any) -> Chroma | None:
     return if_coloured(np.asarray(_upright(picture, chroma), np.uint8))
 
 
+@functools.cache
+def _side_data() -> Any:
+    """PyAV's data beside a picture, also where some is of a kind that it does not know, as FFmpeg's newer one, Exif."""
+    from av.sidedata.sidedata import SideDataContainer, Type
+
+    Type._missing_ = classmethod(_of_unknown_kind)  # type: ignore[method-assign, assignment]
+    return SideDataContainer
+
+
+def _of_unknown_kind(kinds: Any, value: object) -> Any:
+    """A member of an enumeration for a value that it does not name."""
+    member = object.__new__(kinds)
+    member._name_, member._value_ = f"UNKNOWN_{value}", value
+    return member
+
+
 def _upright(picture: Any, image: Any) -> NDArray[Any]:
     """An image of the picture, turned and mirrored by its display matrix."""
-    from av.sidedata.sidedata import SideDataContainer
-
     # Not `picture.side_data`, by which the two hold each other: pictures would pile up until Python looks for cycles.
-    try:
-        matrix = SideDataContainer(picture).get("DISPLAYMATRIX")  # type: ignore[call-arg]
-    except ValueError:  # data of a kind that PyAV does not know, as Exif in TIFF
-        if picture.rotation % 90:
-            raise ValueError(f"display matrix: expected quarter turns, got {picture.rotation} degrees") from None
-        return np.ascontiguousarray(np.rot90(image, picture.rotation // 90))
+    matrix = _side_data()(picture).get("DISPLAYMATRIX")
     if matrix is not None:
         # A pixel at (x, y) is shown at (a x + c y, b x + d y), but for an offset. Source: libavutil/display.h.
         a, b, _, c, d, *_ = (np.frombuffer(bytes(matrix), np.int32) / (1 << 16)).tolist()
