@@ -95,6 +95,22 @@ def test_the_share_that_is_stuck_does_not_depend_on_the_noise_nor_on_images_that
                 assert changes[0].share_stuck == pytest.approx(0.2, abs=0.04)
 
 
+def test_samples_that_have_not_changed_for_long_of_those_with_a_texture() -> None:
+    rng = np.random.default_rng(8)
+    comparer, shares = ImageComparer(), []
+    first = rng.integers(40, 80, (240, 320), np.uint8)
+    for _ in range(42):
+        image = rng.integers(40, 80, (240, 320), np.uint8)
+        image[:, :96] = first[:, :96]
+        image[:, 96:192] = 7  # no texture, and no change
+        changes = [comparer.compare(image, 255) for _ in range(2)]  # an image that comes twice does not count
+        shares += [change.share_same_long for change in changes[:1] if change is not None]
+    assert not any(shares[:35])
+    np.testing.assert_allclose(shares[36:], 96 / (320 - 96), atol=0.03)
+    assert changes[0] is not None
+    assert changes[0].share_textured == pytest.approx((320 - 96) / 320, abs=0.05)
+
+
 def test_any_strides_and_neither_size_nor_type_compared_with_another() -> None:
     first, second = images((97, 131), np.uint16, 5)[:2]
     strided = [np.asfortranarray(first), second[:, ::-1].copy()[:, ::-1], second[::-1].copy()[::-1]]
