@@ -212,8 +212,8 @@ def test_stream_over_a_network() -> None:
 
 
 @contextlib.contextmanager
-def served(*parts: bytes) -> Iterator[StreamCamera]:
-    """A stream of these parts, each 50 ms after the one before it."""
+def served(*parts: bytes | threading.Event) -> Iterator[StreamCamera]:
+    """A stream of these parts, each 50 ms after the one before it; where an event is among them, it is waited for."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
@@ -221,6 +221,9 @@ def served(*parts: bytes) -> Iterator[StreamCamera]:
             connection, _ = server.accept()
             with connection:
                 for part in parts:
+                    if isinstance(part, threading.Event):
+                        part.wait(10.0)
+                        continue
                     connection.sendall(part)
                     time.sleep(0.05)
 
@@ -256,11 +259,17 @@ def test_a_stream_that_changes_its_codec_is_opened_again(monkeypatch: pytest.Mon
 
 def test_a_stream_that_goes_on_elsewhere_is_opened_again() -> None:
     """As where an encoder was restarted with other settings."""
+    has_begun = threading.Event()  # what comes before would belong to the stream from the first
+
+    def play(camera: StreamCamera) -> None:
+        for _ in camera:
+            has_begun.set()
+
     with (
-        served(*[mpeg_stream(12)] * 20, *[mpeg_stream(12, pid=0x140)] * 20) as camera,
+        served(*[mpeg_stream(12)] * 20, has_begun, *[mpeg_stream(12, pid=0x140)] * 20) as camera,
         pytest.raises(OSError, match=r"tcp://127.0.0.1:\d+: another stream begins"),
     ):
-        list(camera)
+        play(camera)
 
 
 def test_a_stream_that_is_silent_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
