@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -125,7 +126,8 @@ def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Fram
             if any((one.beam.mode == BeamMode.LOW) == is_low for one in commands[since:]):
                 return
             yield frame
-        raise AssertionError([(one.beam.mode, one.beam.faults) for one in commands[since:]])
+        counted = Counter((one.beam.mode.name, one.beam.faults) for one in commands[since:])
+        raise AssertionError((victim, is_low, counted, network.processes[victim].popen.poll()))
 
     yield from until(is_low=False)
     process = network.processes[victim].popen

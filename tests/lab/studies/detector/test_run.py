@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -159,6 +160,13 @@ def test_another_model_or_other_data_make_a_row_anew(tmp_path: Path) -> None:
     label = next((data / "test/labels/keypoints").glob("*.json"))
     label.write_text(label.read_text() + "\n")
     assert split_digest(data / "test") != before
+    shutil.copytree(data / "test", tmp_path / "elsewhere")
+    image = next((tmp_path / "elsewhere/images").rglob("*.png"))
+    assert split_digest(tmp_path / "elsewhere") == split_digest(data / "test")
+    content = bytearray(image.read_bytes())
+    content[len(content) // 2] ^= 1
+    image.write_bytes(content)
+    assert split_digest(tmp_path / "elsewhere") != split_digest(data / "test")
     (again,) = run_experiment(data, tmp_path / "out", plan).rows
     assert again.key != rejecting.key
 

@@ -269,18 +269,19 @@ def yolo_note(run: YoloRun) -> str:
 
 def file_digest(path: Path) -> str:
     """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def split_digest(split: Path) -> str:
-    """SHA-256 of what is in a split: its labels, and the names and sizes of its images."""
+    """SHA-256 of what is in a split: its labels and images, wherever it lies."""
     digest = hashlib.sha256()
     dataset = open_labelled(split)
     for path in sorted((dataset.root / "labels").rglob("*.json")):
         digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + path.read_bytes())
     for image_id in dataset.frame_ids:
         path = dataset.image_path(image_id)
-        digest.update(f"{path.relative_to(dataset.root)} {path.stat().st_size}\n".encode())
+        digest.update(f"{path.relative_to(dataset.root)} {file_digest(path)}\n".encode())
     return digest.hexdigest()
 
 
