@@ -12,11 +12,13 @@ from typing import Any
 import pytest
 
 from foreglow.folder_lock import FolderLock, locked
-from foreglow.outputs import check_outputs, running
+from foreglow.outputs import KINDS, TRAINING, TUNING, check_outputs, check_own, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from tests.cli.commands import PNG, complaint, foreglow_command
 from tests.stand_ins import REFERENCE
+
+FRAME = '{"frame":0,"sequence":"","timestamp_ns":0}\n'
 
 
 def test_a_folder_is_written_by_one(tmp_path: Path) -> None:
@@ -89,8 +91,27 @@ def test_a_run_leaves_what_is_not_of_a_run(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match=f"{name}: expected nothing there but earlier results of this command"):
         OutputFolder(tmp_path)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "mine"}
-    (tmp_path / "frames.jsonl").touch()
+    (tmp_path / "frames.jsonl").write_text(FRAME)
     OutputFolder(tmp_path).discard()
+
+
+@pytest.mark.parametrize("name", ["times.jsonl", "config.toml", "summary.json", "overlay.mp4", "report.html"])
+@pytest.mark.parametrize("frames", ["", "mine", '{"frame": 1, "label": "mine"}', "[" * 9999, '{"frame": 1'])
+def test_a_run_leaves_files_that_are_all_called_like_results(tmp_path: Path, name: str, frames: str) -> None:
+    mine = {"frames.jsonl": frames, name: '{"is_complete": true}'}
+    for other, text in mine.items():
+        (tmp_path / other).write_text(text)
+    with pytest.raises(ValueError, match="expected nothing there but earlier results of this command"):
+        OutputFolder(tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == mine
+
+
+@pytest.mark.parametrize("mark", [TRAINING, TUNING])
+def test_trainings_and_searches_leave_files_that_are_called_like_theirs(tmp_path: Path, mark: str) -> None:
+    for name in KINDS[mark].parts:
+        (tmp_path / name).write_text("mine = 1\n")
+    with pytest.raises(ValueError, match="expected nothing there but earlier results of this command"):
+        check_own(tmp_path, mark)
 
 
 def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> None:
@@ -106,8 +127,9 @@ def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> No
 
 
 def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
-    for name in ("frames.jsonl", "config.toml", "report.html"):
+    for name in ("config.toml", "report.html"):
         (tmp_path / name).touch()
+    (tmp_path / "frames.jsonl").write_text(FRAME)
     with OutputFolder(tmp_path) as folder:
         folder.publish(REFERENCE, Tally().summary("images", [], REFERENCE, is_complete=True, dispatch=None))
     assert not (tmp_path / "report.html").exists()
@@ -179,3 +201,12 @@ def test_a_run_of_ones_own_leaves_the_results_of_another_program(tmp_path: Path)
     (tmp_path / "times.jsonl").write_text("mine")
     with pytest.raises(ValueError, match=r"times\.jsonl: expected nothing there but earlier results"):
         OutputFolder(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["plan.json", "experiments.json"])
+def test_a_report_leaves_what_is_only_called_like_that_of_an_earlier_one(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text('{"mine": 1}')
+    (tmp_path / "zones.csv").write_text("mine")
+    command = "experiment glare" if name == "plan.json" else "reproduce"
+    with running(command), pytest.raises(ValueError, match=f"{name} is of something else"):
+        check_outputs({}, {}, {"--out": tmp_path})

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from foreglow.own_files import is_own
 from foreglow.whole_files import PARTIAL, partial_path
 
 RESULT_NAMES = (
@@ -53,7 +54,7 @@ class FolderKind:
     Attributes:
         commands: Those that may have written it, where nothing there says which one did.
         parts: The files beside the mark that are lost if another command writes them.
-        begun: Those by which an earlier one is known that may not be complete; of a run, beside the mark.
+        begun: Those by which an earlier one is known that may not be complete, if they hold what a command writes.
         command_keys: Where the mark, as JSON, says which command wrote it; empty if it does not.
     """
 
@@ -64,7 +65,7 @@ class FolderKind:
 
 
 KINDS = {
-    RUN: FolderKind(("run", "beam", "live", "demo"), RESULT_NAMES, ("times.jsonl", "config.toml", "summary.json")),
+    RUN: FolderKind(("run", "beam", "live", "demo"), RESULT_NAMES, (RUN, "times.jsonl", "summary.json")),
     TRAINING: FolderKind(
         ("train",),
         (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
@@ -271,8 +272,7 @@ def _check_writer(name: str, folder: Path) -> None:
 
 def _has_report(folder: Path) -> bool:
     """Whether a folder has the report of an earlier experiment, also of one that was interrupted."""
-    is_begun = any((folder / mark).is_file() for mark in ("plan.json", "experiments.json"))
-    return is_begun or _value_in(folder / "results.json", ("made_with",)) is not None
+    return any(is_own(folder / name) for name in ("plan.json", "experiments.json", "results.json"))
 
 
 def _check_new(name: str, folder: Path) -> None:
@@ -386,8 +386,7 @@ def _words_on_foreign(path: Path) -> str:
 
 def _has_earlier(folder: Path, mark: str) -> bool:
     """Whether a folder has an earlier run, training or search, also one that was interrupted."""
-    if mark != RUN:
-        return any((folder / name).is_file() for name in KINDS[mark].begun)
-    is_begun = any(partial_path(folder / name).exists() for name in RESULT_NAMES)
-    has_results = (folder / RUN).is_file() and any((folder / name).is_file() for name in KINDS[RUN].begun)
-    return is_begun or has_results or _has_report(folder)
+    if any(is_own(folder / name) for name in KINDS[mark].begun):
+        return True
+    is_begun = mark == RUN and any(partial_path(folder / name).exists() for name in RESULT_NAMES)
+    return is_begun or (mark == RUN and _has_report(folder))

@@ -312,7 +312,8 @@ class LiveConfig(FrozenModel):
         max_step_s: A stage that takes longer for a frame hangs.
         abandon_s: After this further time the pipeline that hangs is abandoned, and a new one is made.
         max_failures: After errors in so many frames in a row a new pipeline is made.
-        rebuild_s: A new pipeline that takes longer to make than this hangs as a stage does: another one is made.
+        rebuild_s: A new pipeline that takes longer to make than this hangs as a stage does: another one is made. If
+            none can be made for so long, as that ends with an error each time, the program ends.
         retry_s: Pause between attempts to open a lost source, or to make a pipeline.
     """
 

@@ -1,7 +1,8 @@
-"""Checks that an encoded image is complete, and reads its size, before decoding: decoders are too tolerant.
+"""Checks that an encoded image is complete and whole, and reads its size: decoders are too tolerant.
 
-OpenCV returns a partly grey picture for a truncated JPEG (and, before version 5, PNG), and allocates whatever
-size a header claims. For other formats, only the size is read: OpenCV refuses them when they are cut short.
+OpenCV returns a partly grey picture for a truncated or damaged JPEG (and, before version 5, a truncated PNG), and
+allocates whatever size a header claims. For other formats, only the size is read: OpenCV refuses them when they are cut
+short.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+
+import simplejpeg
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
@@ -36,6 +39,7 @@ _WEBP_ANIMATION = 0x02
 
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
+_JPEG_PADDING = re.compile(r"Corrupt JPEG data: [1-4] extraneous bytes before marker 0xd9")
 # Start of frame, ITU-T T.81 table B.1: 0xC0..0xCF without the tables DHT (C4), JPG (C8) and DAC (CC).
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Markers without a length: TEM, RST0..RST7.
@@ -108,6 +112,22 @@ def jpeg_size_px(data: bytes) -> tuple[int, int]:
     if size_px is None:
         raise ValueError("damaged JPEG, expected a start-of-frame segment before the scan")
     return size_px
+
+
+def check_jpeg(data: bytes) -> None:
+    """Checks that the coded data of a JPEG are what an encoder writes, as far as they can tell: it has no checksum.
+
+    Up to four bytes may lie between them and the end marker, with which some cameras fill their frames.
+
+    Raises:
+        ValueError: If libjpeg, which makes a picture of any data, has to leave some out or to guess; the message does
+            not say where.
+    """
+    try:
+        simplejpeg.decode_jpeg(data, colorspace="GRAY")
+    except ValueError as error:
+        if not _JPEG_PADDING.fullmatch(str(error)):
+            raise ValueError(f"damaged JPEG: {str(error).removeprefix('Corrupt JPEG data: ')}") from None
 
 
 def size_px(data: bytes) -> tuple[int, int] | None:

@@ -14,7 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.image_bytes import JPEG_SIGNATURE, PNG_END, PNG_SIGNATURE, at_full_scale, size_px
+from foreglow.datasets.image_bytes import (
+    JPEG_SIGNATURE,
+    PNG_END,
+    PNG_SIGNATURE,
+    at_full_scale,
+    check_jpeg,
+    size_px,
+)
 from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
@@ -56,8 +63,7 @@ def read_image(path: Path | str) -> Image:
     The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are, but those of a PGM or PPM
     are scaled to 8 or 16 bits, as its header says what white is. Colour becomes grey as
     in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` has an array as `to_grey` takes it,
-    colour in the order R, G, B. JPEG has no checksum: damage inside its data that leaves its structure intact may go
-    unnoticed.
+    colour in the order R, G, B. JPEG has no checksum: wrong bits that are the code of another picture go unnoticed.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -238,6 +244,8 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
         size = size_px(data)
         if size is not None:
             check_size(*size, "header")
+        if data.startswith(JPEG_SIGNATURE):
+            check_jpeg(data)
         data, white = at_full_scale(data)
     except ValueError as error:
         raise ValueError(f"{origin}: {error}") from None

@@ -188,6 +188,32 @@ def test_a_new_pipeline_that_hangs_while_it_is_made(drive: list[Frame], num_hang
     assert any("making a pipeline" in details for details in keeper.details)
 
 
+@pytest.mark.parametrize("is_camera", [False, True])
+def test_a_new_pipeline_that_can_never_be_made_ends_the_loop(drive: list[Frame], is_camera: bool) -> None:
+    """Such as for want of memory: a recording would never end, and a camera's process has to be started again."""
+    configuration, keeper = live_config(rebuild_s=0.5, retry_s=0.1), Keeper()
+    broken = Pipeline(configuration)
+    num_made = 0
+
+    def fail(_: int) -> None:
+        raise ArithmeticError
+
+    def make() -> Pipeline:
+        nonlocal num_made
+        num_made += 1
+        if num_made > 1:
+            raise MemoryError("no memory left")
+        return broken
+
+    spoil(broken, "proposals", fail)
+    source = ScriptedCamera(drive, is_live=is_camera)
+    with pytest.raises(LiveEndedError, match=r"no pipeline for 0\.5 s: .*no memory left.*; start again") as ended:
+        run_live(source, configuration, make, sinks=[keeper])
+    assert num_made > 2
+    assert not ended.value.summary.run.is_complete
+    assert LiveFault.NO_PIPELINE in ended.value.summary.fault_counts
+
+
 def test_command_that_comes_too_late(drive: list[Frame]) -> None:
     def make() -> Pipeline:
         pipeline = Pipeline(configuration)

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from foreglow.runtime.ros2.environment import ASSERTED, MAX_DOMAIN, MIDDLEWARE, PROFILES, prepare
+from foreglow.runtime.ros2.environment import (
+    ASSERTED,
+    MAX_DOMAIN,
+    MIDDLEWARE,
+    NUM_PARTICIPANTS,
+    PARTICIPANT,
+    PROFILES,
+    prepare,
+)
+from foreglow.runtime.ros2.supervisor import Process
 
 
 @pytest.mark.parametrize("variable", PROFILES)
@@ -46,3 +56,29 @@ def test_a_middleware_that_is_not_there(monkeypatch: pytest.MonkeyPatch, variabl
     monkeypatch.setattr("os.environ", {variable: name})
     with pytest.raises(ValueError, match=f"{variable}: expected a middleware that is installed"):
         prepare()
+
+
+@pytest.mark.parametrize("number", ["", "abc", "-1", "1.5", str(NUM_PARTICIPANTS), "\N{SUPERSCRIPT TWO}", "9" * 5000])
+def test_a_number_that_no_participant_has(number: str) -> None:
+    with pytest.raises(ValueError, match=f"{PARTICIPANT}: expected a whole number below {NUM_PARTICIPANTS}"):
+        prepare(environment={PARTICIPANT: number})
+
+
+def test_both_profiles_take_their_number_from_the_environment() -> None:
+    for is_networked in (False, True):
+        known: dict[str, str] = {}
+        prepare(is_networked=is_networked, environment=known)
+        assert 0 <= int(known[PARTICIPANT]) < NUM_PARTICIPANTS
+        assert f"<participantID>${{{PARTICIPANT}}}</participantID>" in Path(known[PROFILES[0]]).read_text()
+
+
+def test_a_process_that_is_started_again_has_another_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    environments: list[dict[str, str]] = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, env, **__: environments.append(env))
+    process = Process("beam", ["beam"], {"KNOWN": "1"})
+    for _ in range(NUM_PARTICIPANTS - 1):
+        process.start()
+    assert len({environment[PARTICIPANT] for environment in environments}) == NUM_PARTICIPANTS
+    assert all(environment["KNOWN"] == "1" for environment in environments)
+    for environment in environments:
+        prepare(environment=environment)

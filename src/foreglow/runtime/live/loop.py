@@ -149,8 +149,8 @@ class LiveLoop:
         """Runs until the source ends, Ctrl-C, or `limit` frames; then closes the sinks, with the lamps in low beam.
 
         Raises:
-            LiveEndedError: If `MAX_HUNG` pipelines hang, no frame came for `give_up_s`, or a source that is no camera
-                cannot be read any further; it has the summary.
+            LiveEndedError: If `MAX_HUNG` pipelines hang, none can be made for `rebuild_s`, no frame came for
+                `give_up_s`, or a source that is no camera cannot be read any further; it has the summary.
             ValueError: If a source has frames, and none of them can be read, or the first one is too small for the
                 configured region.
             Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
@@ -299,6 +299,8 @@ class LiveLoop:
             self._health_s, self._reported = now_s, present
             self._report_health()
         self._give_up(awake_s)
+        if min(self._worker.missing_s, awake_s) > self._config.rebuild_s:
+            self._end = f"no pipeline for {self._config.rebuild_s:g} s: {self._worker.reason}; start again"
         self._beat()
 
     def _give_up(self, awake_s: float) -> None:

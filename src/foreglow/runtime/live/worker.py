@@ -52,7 +52,11 @@ class Stepped:
 
 
 class Worker:
-    """A thread with a pipeline of its own."""
+    """A thread with a pipeline of its own.
+
+    Attributes:
+        reason: Why a pipeline could not be made, the last time that one could not.
+    """
 
     def __init__(
         self,
@@ -79,6 +83,8 @@ class Worker:
         self._num_failures = 0
         self._busy_since_s: float | None = None
         self._making_since_s: float | None = None
+        self._missing_since_s: float | None = None
+        self.reason = ""
         self._is_stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"{THREADS}compute", daemon=True)
 
@@ -102,6 +108,12 @@ class Worker:
     def making_s(self) -> float:
         """How long the pipeline under construction has taken so far; 0 while there is none."""
         since_s = self._making_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    @property
+    def missing_s(self) -> float:
+        """For how long it has tried to make a pipeline, each time in vain; 0 if it has one."""
+        since_s = self._missing_since_s
         return 0.0 if since_s is None else time.monotonic() - since_s
 
     @property
@@ -140,8 +152,11 @@ class Worker:
         self._making_since_s = time.monotonic()
         try:
             self._pipeline = self._make_pipeline()
+            self._missing_since_s = None
         except BaseException as error:  # such as a model file that is being replaced: tried again later
-            self._book.note(STAGE, [LiveFault.NO_PIPELINE], described(error))
+            self.reason = described(error)
+            self._missing_since_s = self._missing_since_s or self._making_since_s
+            self._book.note(STAGE, [LiveFault.NO_PIPELINE], self.reason)
         finally:
             self._making_since_s = None
         self._num_failures = 0

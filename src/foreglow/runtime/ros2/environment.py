@@ -20,6 +20,13 @@ FAST_DDS = "rmw_fastrtps_cpp"
 DOMAIN, MAX_DOMAIN = "ROS_DOMAIN_ID", 232
 """Variable with the number of the network of nodes, and the highest that has ports."""
 
+PARTICIPANT, NUM_PARTICIPANTS = "FOREGLOW_PARTICIPANT", 30
+"""Variable with this process's number in the network, from which our profiles have its ports, and how many there are.
+
+Where it is taken, the next free one is used. A process that is started again needs another number than the one that
+died: writers may still send to the memory of that one's port, of which the new process has one of the same name.
+"""
+
 
 def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str] | None = None) -> None:
     """Keeps the nodes on this machine and transports images by shared memory, unless the user has set otherwise.
@@ -34,7 +41,8 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
 
     Raises:
         FileNotFoundError: If there is no such profile: Fast DDS would open its sockets to every machine then.
-        ValueError: If a profile is no XML, the domain is no number that ROS 2 knows, or the middleware is not there.
+        ValueError: If a profile is no XML, the domain or our number in it is none that there can be, or the middleware
+            is not there.
     """
     known = os.environ if environment is None else environment
     if environment is None and importlib.util.find_spec("rclpy") is not None:
@@ -42,12 +50,15 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
             if known.get(variable):
                 _check_middleware(variable, known[variable])
     domain = known.get(DOMAIN, "").strip()
-    if domain and not (domain.isdecimal() and len(domain) < 9 and int(domain) <= MAX_DOMAIN):
+    if domain and not _is_up_to(MAX_DOMAIN, domain):
         raise ValueError(f"{DOMAIN}: expected a whole number from 0 to {MAX_DOMAIN}, got {domain[:40]!r}")
     takes_profile = known.get(MIDDLEWARE, FAST_DDS) == FAST_DDS and not any(known.get(name) for name in PROFILES)
     if takes_profile:
         name = "fastdds_network.xml" if is_networked else "fastdds_local.xml"
         known[PROFILES[0]] = str(Path(__file__).with_name(name))
+    number = known.setdefault(PARTICIPANT, str(os.getpid() % NUM_PARTICIPANTS))
+    if not _is_up_to(NUM_PARTICIPANTS - 1, number):  # Fast DDS would pass over the whole profile
+        raise ValueError(f"{PARTICIPANT}: expected a whole number below {NUM_PARTICIPANTS}, got {number[:40]!r}")
     if not known.get(RANGE):
         is_local_by_profile = takes_profile and not is_networked
         known[RANGE] = "SUBNET" if is_networked else "SYSTEM_DEFAULT" if is_local_by_profile else "LOCALHOST"
@@ -55,6 +66,10 @@ def prepare(*, is_networked: bool = False, environment: MutableMapping[str, str]
         for variable in PROFILES:
             if known.get(variable):
                 _check_profile(variable, Path(known[variable]))
+
+
+def _is_up_to(highest: int, text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 9 and int(text) <= highest
 
 
 def _check_middleware(variable: str, name: str) -> None:

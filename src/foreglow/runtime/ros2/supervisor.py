@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+
+from foreglow.runtime.ros2.environment import NUM_PARTICIPANTS, PARTICIPANT
 
 PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0)
 """Pauses before a process is started again: longer after each failure, and the first one again once the process has
@@ -17,6 +20,8 @@ END_S = 5.0
 """A process that has not ended this long after it was asked to is killed."""
 BAD_INPUT = 2
 """Exit code of a command whose input or configuration cannot be used."""
+
+_starts = itertools.count(os.getpid())
 
 
 class Process:
@@ -35,9 +40,11 @@ class Process:
         """Starts the process; it ends when this one does, even if this one is killed."""
         self._began_s = time.monotonic()
         self._due_s = None
+        known = os.environ if self._environment is None else self._environment
+        number = {PARTICIPANT: str(next(_starts) % NUM_PARTICIPANTS)}
         # A process group of its own: Ctrl-C in the terminal reaches this process alone, which passes it on.
         self.popen = subprocess.Popen(
-            [*self._command, "--parent", str(os.getpid())], env=self._environment, start_new_session=True
+            [*self._command, "--parent", str(os.getpid())], env={**known, **number}, start_new_session=True
         )
 
     def update(self) -> int | None:
