@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -164,7 +165,21 @@ def test_motion_in_other_units(tmp_path: Path) -> None:
     assert (motion.speed_mps, motion.yaw_rate_radps) == pytest.approx((20.0, -0.15708), abs=1e-5)
 
 
-@pytest.mark.parametrize("name", ["SNA", "Speed_NotAvailable", "invalid", "Init"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "SNA",
+        "Speed_NotAvailable",
+        "invalid",
+        "Init",
+        "Signal not valid",
+        "Initialisation",
+        "Err",
+        "fault",
+        "x",
+        "> 300",
+    ],
+)
 def test_codes_that_are_called_not_available_count_as_not_sent(tmp_path: Path, name: str) -> None:
     """All ones were a speed of 655 km/h."""
     dbc = DBC + f'\nVAL_ 515 Pace 65535 "{name}" 0 "standstill" ;\n'
@@ -178,6 +193,81 @@ def test_codes_that_are_called_not_available_count_as_not_sent(tmp_path: Path, n
     motion = decoder.log.motion(10_000_000)
     assert motion is not None
     assert motion.speed_mps == 0.0
+
+
+def decoder_of(tmp_path: Path, dbc: str = DBC, mapping: str = MAPPING) -> CanDecoder:
+    (tmp_path / "car.dbc").write_text(dbc, encoding="cp1252")
+    (tmp_path / "car.toml").write_text(mapping)
+    return CanDecoder(tmp_path / "car.dbc", tmp_path / "car.toml")
+
+
+def speed_of(decoder: CanDecoder, code: int) -> float | None:
+    decoder.take(0, next(key for key in decoder.keys if key[0] == 515), code.to_bytes(2, "little") + bytes(6), "bus")
+    motion = decoder.log.motion(0)
+    return None if motion is None else motion.speed_mps
+
+
+@pytest.mark.parametrize("name", ["100 km/h", "100", " 100,0 km/h "])
+def test_a_code_whose_name_is_a_number_is_a_value(tmp_path: Path, name: str) -> None:
+    decoder = decoder_of(tmp_path, DBC + f'\nVAL_ 515 Pace 10000 "{name}" ;\n')
+    assert speed_of(decoder, 10000) == pytest.approx(100 / 3.6)
+
+
+def test_a_speed_beyond_the_range_of_the_dbc_counts_as_not_sent(tmp_path: Path) -> None:
+    """All ones, often without a name, are 655 km/h here."""
+    for pair, code, is_known in (
+        ("[0|300]", 65535, False),
+        ("[0|300]", 30000, True),
+        ("[0|300]", 30001, False),
+        ("[0|0]", 50000, True),
+        ("[300|0]", 50000, True),
+    ):
+        assert (speed_of(decoder_of(tmp_path, with_pace(pair, "km/h")), code) is not None) == is_known, (pair, code)
+
+
+def with_pace(pair: str, unit: str) -> str:
+    """The DBC with another range and unit of the speed."""
+    changed, num = re.subn(r"( SG_ Pace .*?\)) \[.*?\] \".*?\"", rf'\1 {pair} "{unit}"', DBC)
+    assert num == 1
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        *(
+            ("km/h", 1 / 3.6),
+            ("KPH", 1 / 3.6),
+            ("km / h", 1 / 3.6),
+            ("m/s", 1.0),
+            ("mph", 0.44704),
+            ("knots", 0.514444),
+        ),
+        *(("", 1.0), ("Unit_KiloMeterPerHour", 1 / 3.6)),
+    ],
+)
+def test_without_a_factor_the_unit_of_the_dbc_counts(tmp_path: Path, unit: str, factor: float) -> None:
+    mapping = MAPPING.replace("factor = 0.2777777777777778\n", "")
+    decoder = decoder_of(tmp_path, with_pace("[0|300]", unit), mapping)
+    assert speed_of(decoder, 10000) == pytest.approx(100 * factor, rel=1e-6)
+
+
+def test_a_factor_that_contradicts_the_unit_is_refused(tmp_path: Path) -> None:
+    expected = (
+        r"car\.toml: speed\.factor: expected 0\.44704 or none, as .*car\.dbc: Dynamics: Pace is in mph, got 0\.27"
+    )
+    with pytest.raises(ValueError, match=expected):
+        decoder_of(tmp_path, with_pace("[0|300]", "mph"))
+    with pytest.raises(
+        ValueError, match=r"yaw_rate\.factor: expected 0\.01745329 or none, as .* is in \W/s, got 0\.02"
+    ):
+        decoder_of(tmp_path, DBC.replace('"deg/s"', '"\u00b0/s"'), MAPPING.replace("0.017453292519943295", "0.02"))
+    decoder_of(tmp_path, DBC, MAPPING.replace("0.017453292519943295", "-0.0175"))  # positive to the right
+    decoder_of(tmp_path, with_pace("[0|300]", "furlongs"))
+    with pytest.raises(
+        ValueError, match=r"speed\.factor: expected a factor, as the unit 'furlongs' of .* is none of m/s"
+    ):
+        decoder_of(tmp_path, with_pace("[0|300]", "furlongs"), MAPPING.replace("factor = 0.2777777777777778\n", ""))
 
 
 def test_reports_of_the_production_system_count_for_half_a_second(tmp_path: Path) -> None:
@@ -314,5 +404,5 @@ def test_a_log_of_two_buses(tmp_path: Path, suffix: str) -> None:
         assert motion is not None
         assert motion.speed_mps == pytest.approx(speed_mps)
     (tmp_path / "car.toml").write_text(f'bus = "can7"\n{MAPPING}')
-    with pytest.raises(ValueError, match=r"expected frames of .* on bus can7, got none"):
+    with pytest.raises(ValueError, match=r"expected frames of .* on bus can7, with values, got none"):
         read_can_log(path, tmp_path / "car.dbc", tmp_path / "car.toml")

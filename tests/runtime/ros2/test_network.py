@@ -117,14 +117,14 @@ def test_a_killed_node_means_low_beam_and_comes_back(frames: list[Frame]) -> Non
 def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Frame]:
     """Frames at full rate, over and over; once there is light a node is killed, until there is light again.
 
-    Each has noise of its own: of 25 images over and over, of which a busy machine drops some, a guard may know the rest.
+    Each has noise of its own: of 25 images over and over, of which a busy machine drops some, a guard knows the rest.
     """
     noise = np.random.default_rng(1)
     turns = enumerate(itertools.cycle(frames))
     endless = (
         dataclasses.replace(
             frame,
-            image=cv2.add(frame.image, noise.integers(0, 4, frame.image.shape, np.uint8)),
+            image=np.asarray(cv2.add(frame.image, noise.integers(0, 4, frame.image.shape, np.uint8)), np.uint8),
             timestamp_ns=k * STEP_NS,
             sequence="long",
         )

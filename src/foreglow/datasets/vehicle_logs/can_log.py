@@ -8,13 +8,13 @@ import threading
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Collection
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from foreglow.config import read_toml, validated
 from foreglow.datasets.vehicle_logs.log_frames import CanKey, read_frames
 from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal
+from foreglow.datasets.vehicle_logs.quantities import FACTORS, factor_of, known_values
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
 from foreglow.files import MIB, read_text
 from foreglow.street import StreetMessage
@@ -37,9 +37,6 @@ MAX_DBC_BYTES = 4 * MIB
 
 MAX_MESSAGE_BYTES = 4096
 """Longest message of a DBC: one of CAN FD has 64 bytes, one of several frames 1785."""
-
-_UNKNOWN = re.compile(r"(?i)\bSNA\b|not[ _]?avail|unavail|invalid|ungueltig|^(init|fehler|error)$")
-"""Names in a value table for codes that are no value, such as all ones where a sensor has failed."""
 
 MAX_MULTIPLEX_VALUES = 65_536
 """Values in all ranges of multiplexed signals of a DBC: cantools lists each."""
@@ -163,7 +160,8 @@ def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None
         decoder.take(time_ns, key, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
     if decoder.log.is_empty:
         of_bus = f" on bus {decoder.bus}" if decoder.bus is not None else ""
-        raise ValueError(f"{path}: expected frames of {', '.join(decoder.message_names)}{of_bus}, got none")
+        names = ", ".join(decoder.message_names)
+        raise ValueError(f"{path}: expected frames of {names}{of_bus}, with values, got none")
     return decoder.log
 
 
@@ -258,6 +256,8 @@ class CanDecoder:
         self._mapping = read_mapping(mapping)
         self._street_frames = StreetFrames(self._mapping)
         self._sections: dict[CanKey, tuple[Message, list[tuple[str, dict[str, str]]]]] = {}
+        self._factors: dict[str, float] = {}
+        self._quantities: dict[CanKey, frozenset[str]] = {}  # the signals that are numbers with a unit
         for name, section in self._mapping.sections():
             if section.message not in messages:
                 known = ", ".join(sorted(messages)[:20])
@@ -282,6 +282,13 @@ class CanDecoder:
                     f"{message.name} have {message.frame_id:X}"
                 )
             own.append((name, section.signals()))
+            if isinstance(section, NumberSignal):
+                signal, factor = signals[section.signal], section.factor
+                if name in FACTORS:
+                    origins = f"{mapping}: {name}.factor", f"{dbc}: {message.name}: {signal.name}"
+                    factor = factor_of(name, signal, factor, origins)
+                    self._quantities[key] = self._quantities.get(key, frozenset()) | {signal.name}
+                self._factors[name] = 1.0 if factor is None else factor
 
     @property
     def bus(self) -> str | None:
@@ -306,7 +313,7 @@ class CanDecoder:
         """
         message, sections = self._sections[key]
         try:
-            decoded = _decoded(message, data, where)
+            decoded = _decoded(message, data, where, self._quantities.get(key, frozenset()))
             for name, signals in sections:
                 if all(signal in decoded for signal in signals.values()):
                     self._add(time_ns, name, {field: decoded[signal] for field, signal in signals.items()})
@@ -321,7 +328,7 @@ class CanDecoder:
         elif section == "position":
             self.log.add_street(time_ns, self._street_frames.message(values, time_ns))
         else:
-            self.log.add_number(section, time_ns, _number(values, getattr(self._mapping, section)))
+            self.log.add_number(section, time_ns, _number(values, self._factors.get(section, 1.0)))
 
 
 def _check_signal(signal: Signal, origin: str) -> None:
@@ -343,8 +350,8 @@ def _check_lengths(message: Message, origin: str) -> None:
             )
 
 
-def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
-    """The finite signals of a frame; a multiplexed frame has only some of them."""
+def _decoded(message: Message, data: bytes, where: str, quantities: frozenset[str]) -> dict[str, float]:
+    """The finite signals of a frame that are known; a multiplexed frame has only some of them."""
     import cantools
 
     try:
@@ -353,24 +360,11 @@ def _decoded(message: Message, data: bytes, where: str) -> dict[str, float]:
         if message.is_multiplexed() and len(data) >= message.length:
             return {}  # of a number that the DBC does not have: nothing else of such a frame can be wrong
         raise ValueError(f"{where}: {message.name}: {error}") from None
-    values: dict[Any, Any] = dict(decoded)
-    unknown = _unknown_codes(message)
-    if unknown:
-        raw: dict[Any, Any] = dict(message.decode(data, decode_choices=False, scaling=False))
-        values = {name: value for name, value in values.items() if raw[name] not in unknown.get(name, ())}
-    return {name: float(value) for name, value in values.items() if math.isfinite(value)}
+    raw: Any = message.decode(data, decode_choices=False, scaling=False)
+    known = known_values(message, cast("dict[str, Any]", decoded), raw, quantities)
+    return {name: float(value) for name, value in known.items() if math.isfinite(value)}
 
 
-@lru_cache(maxsize=1024)  # by the object: a bus brings the same few messages again and again
-def _unknown_codes(message: Message) -> dict[str, set[int]]:
-    """By signal, the codes to which the DBC's value table gives a name that says that the value is not known."""
-    codes = {
-        signal.name: {code for code, name in (signal.choices or {}).items() if _UNKNOWN.search(str(name))}
-        for signal in message.signals
-    }
-    return {name: found for name, found in codes.items() if found}
-
-
-def _number(values: dict[str, float], section: NumberSignal) -> float:
-    value = values["signal"] * section.factor
+def _number(values: dict[str, float], factor: float) -> float:
+    value = values["signal"] * factor
     return -abs(value) if values.get("is_negative") else value

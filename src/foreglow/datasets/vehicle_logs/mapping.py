@@ -129,17 +129,18 @@ class NumberSignal(Section):
 
     Attributes:
         signal: Name of its signal.
-        factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees.
+        factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees. None: that of the DBC's
+            unit, or 1 where it states none.
         is_negative: 1 where the number is negative; None if it has a sign.
     """
 
     signal: str
-    factor: float = 1.0
+    factor: float | None = None
     is_negative: str | None = None
 
     @model_validator(mode="after")
     def _check(self) -> NumberSignal:
-        if not self.factor:
+        if self.factor == 0:
             raise ValueError("factor: expected a number other than 0, which makes every value 0")
         return self
 
