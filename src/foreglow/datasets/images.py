@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import tokenize
 from collections.abc import Iterator
 from os import PathLike
@@ -20,6 +19,7 @@ from foreglow.datasets.image_bytes import (
     PNG_SIGNATURE,
     at_full_scale,
     check_jpeg,
+    png_size_px,
     size_px,
 )
 from foreglow.files import check_file, read_bytes
@@ -111,14 +111,15 @@ def png(image: Image) -> bytes:
     return bytes(data)
 
 
-def has_ends_of_png(path: Path) -> bool:
-    """Whether there is a file that begins and ends as a PNG does; what is between is not read."""
-    if not path.is_file() or path.stat().st_size < len(PNG_SIGNATURE) + len(PNG_END):
+def is_whole_png(path: Path) -> bool:
+    """Whether there is a PNG with all its chunks, whose checksums are right; nothing is decoded."""
+    if not path.is_file():
         return False
-    with path.open("rb") as file:
-        begin = file.read(len(PNG_SIGNATURE))
-        file.seek(-len(PNG_END), os.SEEK_END)
-        return begin == PNG_SIGNATURE and file.read() == PNG_END
+    try:
+        data = read_bytes(path, MAX_IMAGE_BYTES)
+        return data.startswith(PNG_SIGNATURE) and data.endswith(PNG_END) and bool(png_size_px(data))
+    except ValueError:
+        return False
 
 
 def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:
