@@ -43,7 +43,7 @@ ALLOWED: dict[str, set[str]] = {
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
     "classifier": VALUES | {"models", "_native", "files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
-    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "protobuf"},
+    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "folder_lock", "protobuf"},
     "runs": VALUES | {"calibration", "files", "whole_files", "folder_lock", "outputs", "provenance", "datasets"},
     "runtime": VALUES
     | STAGES
