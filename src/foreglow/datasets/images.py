@@ -42,6 +42,17 @@ NPY_ERRORS = (
 )
 """What NumPy raises for a broken .npy file."""
 
+
+def npy_words(error: BaseException) -> str:
+    """What NumPy found wrong with a file of arrays; it takes any other file for objects, and advises to run their code.
+
+    >>> npy_words(ValueError("This file contains pickled (object) data. If you trust the file ..."))
+    'it holds something else, or other objects'
+    """
+    words = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return "it holds something else, or other objects" if "pickle" in words else words
+
+
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".npy"})
 """Endings, in lower case, by which a file in a folder is taken for an image."""
 
@@ -298,8 +309,9 @@ def _npy_array(path: Path) -> NDArray[Any]:
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
     except NPY_ERRORS as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: expected a complete .npy file with one array of numbers: {reason}") from error
+        raise ValueError(
+            f"{path}: expected a complete .npy file with one array of numbers: {npy_words(error)}"
+        ) from error
     if not isinstance(mapped, np.ndarray):
         raise ValueError(f"{path}: expected a .npy file with one array, is an archive of arrays")
     if mapped.ndim >= 2:
