@@ -170,6 +170,14 @@ class Leaving(ForeglowPolicy):
 """
 
 
+def test_a_name_that_is_too_long_for_a_folder_beside_it(folder: Path, config: Path, tmp_path: Path) -> None:
+    source = folder.rename(tmp_path / ("x" * 250))
+    line = complaint("run", source, "--config", config)
+    assert "name is too long for that of a folder beside it, _foreglow at the end; name the folder" in line
+    assert line.endswith("with --out\n") or line.endswith("with --out")
+    assert foreglow_command("run", source, "--config", config, "--out", tmp_path / "out").exit_code == 0
+
+
 def test_where_a_plug_in_goes_changes_no_relative_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither those of images, which are read one by one, nor those of results, which appear at the end.
 
