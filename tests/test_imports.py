@@ -43,7 +43,7 @@ ALLOWED: dict[str, set[str]] = {
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
     "classifier": VALUES | {"models", "_native", "files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
-    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "protobuf"},
+    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "folder_lock", "protobuf"},
     "runs": VALUES | {"calibration", "files", "whole_files", "folder_lock", "outputs", "provenance", "datasets"},
     "runtime": VALUES
     | STAGES
@@ -51,7 +51,8 @@ ALLOWED: dict[str, set[str]] = {
     | {"calibration", "maps", "folder_lock", "outputs", "pipeline", "datasets", "runs"},
     "display": VALUES | {"files", "whole_files", "plugins", "datasets", "runs", "runtime"},
     "folder_lock": set(),
-    "outputs": {"files", "whole_files", "datasets"},
+    "own_files": set(),
+    "outputs": {"files", "whole_files", "own_files", "datasets"},
     "inputs": {"files", "outputs"},
     "command_line": {"files", "inputs", "folder_lock", "outputs"},
     "options": {"command_line", "config", "beam", "datasets", "files", "outputs", "parallel", "plugins"},

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, preset
-from foreglow.plugins import METHODS, built, check_methods, checked, name_of
+from foreglow.plugins import METHODS, built, check_methods, checked, name_of, staying
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
 
@@ -224,7 +224,7 @@ class Pipeline:
             ValueError: If a plain image is not grey uint8 or uint16, or a plug-in returns something of another kind.
             RuntimeError: If another thread is inside `step` of this pipeline.
         """
-        with self._alone("step"):
+        with self._alone("step"), staying():
             return self._step(frame if isinstance(frame, Frame) else Frame(frame, timestamp_ns=0), now_ns, faults)
 
     def _step(self, frame: Frame, now_ns: Callable[[], int] | None, faults: Sequence[str]) -> FrameResult:

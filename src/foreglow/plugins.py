@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import inspect
+import os
 import pkgutil
 import sys
 import traceback
@@ -237,6 +238,20 @@ def _text_of(error: BaseException) -> str:
     if len(text) > MAX_WORDS:
         text = f"{text[: MAX_WORDS // 2]}…{text[-MAX_WORDS // 2 :]}"
     return text
+
+
+@contextlib.contextmanager
+def staying() -> Iterator[None]:
+    """Wherever a plug-in goes in the block, the working folder is the same after it: relative paths lead there."""
+    if not _modules:
+        yield
+        return
+    here = os.open(".", os.O_PATH)  # also of a folder that was moved or removed
+    try:
+        yield
+    finally:
+        os.fchdir(here)
+        os.close(here)
 
 
 @contextlib.contextmanager

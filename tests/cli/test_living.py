@@ -219,7 +219,8 @@ def test_what_a_recording_lacks_ends_it(damage: str, tmp_path: Path) -> None:
     assert line.startswith(f"foreglow: expected a whole recording, frames may be lost: {path}: ")
     assert "1 left out as unreadable, the first: " in result.stdout
     assert num_lines(out) == 4
-    assert not read_summary(out / "summary.json").is_complete
+    summary = read_summary(out / "summary.json")
+    assert (summary.is_complete, summary.num_lost_parts) == (False, 1)
 
 
 def test_a_video_that_is_cut_ends_it(tmp_path: Path) -> None:
@@ -230,7 +231,8 @@ def test_a_video_that_is_cut_ends_it(tmp_path: Path) -> None:
     assert result.exit_code == 2, result.output
     assert f"frames may be lost: {path}: truncated video, " in result.stderr.splitlines()[-1]
     assert num_lines(out) > 4
-    assert not read_summary(out / "summary.json").is_complete
+    summary = read_summary(out / "summary.json")
+    assert (summary.is_complete, summary.num_lost_parts) == (False, 1)
 
 
 def test_unreadable_images_are_left_out(tmp_path: Path) -> None:

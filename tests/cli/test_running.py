@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -152,6 +153,51 @@ def test_a_bad_source_is_named_once(folder: Path, config: Path, monkeypatch: pyt
         line = complaint("run", name, "--out", folder / "out", "--config", config, "--on-error", "skip")
         assert "000000.png: expected a readable frame; " in line
         assert line.count("000000.png") == 1
+
+
+LEAVING = """
+import os, tempfile
+from foreglow.beam.policy import ForeglowPolicy
+
+class Leaving(ForeglowPolicy):
+    def command(self, frame, tracks):
+        os.chdir(tempfile.gettempdir())
+        return super().command(frame, tracks)
+
+    def reset(self):
+        os.chdir(tempfile.gettempdir())
+        super().reset()
+"""
+
+
+def test_a_name_that_is_too_long_for_a_folder_beside_it(folder: Path, config: Path, tmp_path: Path) -> None:
+    source = folder.rename(tmp_path / ("x" * 250))
+    line = complaint("run", source, "--config", config)
+    assert "name is too long for that of a folder beside it, _foreglow at the end; name the folder" in line
+    assert line.endswith("with --out\n") or line.endswith("with --out")
+    assert foreglow_command("run", source, "--config", config, "--out", tmp_path / "out").exit_code == 0
+
+
+def test_where_a_plug_in_goes_changes_no_relative_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither those of images, which are read one by one, nor those of results, which appear at the end.
+
+    A live run reads while the plug-in is elsewhere, so that its images may not be relative.
+    """
+    monkeypatch.chdir(tmp_path)
+    importlib.invalidate_caches()
+    Path("leaving_policy.py").write_text(LEAVING)
+    Path("leaving.toml").write_text('[beam]\npolicy = "leaving_policy:Leaving"\n')
+    shutil.copytree(shipped_drive(), "drive")
+    options = ("--config", "leaving.toml", "--limit", 3)
+    for arguments in (("run", "drive", "--record", "run.mcap"), ("live", shipped_drive(), "--speed", 0)):
+        result = foreglow_command(*arguments, *options, "--out", arguments[0])
+        assert result.exit_code == 0, result.output
+        assert num_lines(tmp_path / str(arguments[0])) == 3
+    result = foreglow_command("beam", "run", "--policy", "leaving_policy:Leaving", "--out", "beam")
+    assert result.exit_code == 0, result.output
+    assert num_lines(tmp_path / "beam") == 3
+    assert (tmp_path / "run.mcap").is_file()
+    assert Path.cwd() == tmp_path
 
 
 def test_run_on_the_real_frame_finds_the_published_boxes(tmp_path: Path) -> None:

@@ -231,6 +231,18 @@ def test_what_is_no_image(tmp_path: Path, name: str, data: bytes, message: str) 
     assert str(caught.value).startswith(f"{path}: ")
 
 
+@pytest.mark.parametrize("content", [b"no array", None])
+def test_nobody_is_advised_to_run_the_code_in_a_file(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    if content is None:
+        np.save(path, np.array([{}, 1], object))
+    else:
+        path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.npy: expected a complete \.npy file with one array of numbers") as caught:
+        read_image(path)
+    assert "pickle" not in str(caught.value)
+
+
 def test_a_header_that_claims_too_much_allocates_nothing(tmp_path: Path) -> None:
     data = bytearray(encoded(".png", GREY))
     data[16:24] = (2**31 - 1).to_bytes(4, "big") * 2

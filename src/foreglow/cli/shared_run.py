@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -112,12 +113,21 @@ def folder_beside(source: Path) -> Path:
     """Where the results for `source` go if nobody says: beside it, in a folder that is named after it.
 
     Raises:
-        ValueError: If there is a folder of this name already, and it is not an earlier run on the same source.
+        ValueError: If there is a folder of this name already, and it is not an earlier run on the same source, or the
+            name is too long.
     """
     from foreglow.runs.summary_file import read_summary
 
     path = source.resolve() if source.name in ("", "..") else source.absolute()  # a link stays one
     out = path.with_name(f"{path.stem if path.is_file() else path.name}_foreglow")
+    try:
+        out.lstat()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise ValueError(
+                f"{source}: its name is too long for that of a folder beside it, {out.name[-9:]} at the end; name the "
+                "folder for the results with --out"
+            ) from None
     is_taken = out.is_file() or (out.is_dir() and any(out.iterdir()))
     summary = out / "summary.json"
     if is_taken and not (summary.is_file() and Path(read_summary(summary).source).resolve() == path.resolve()):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import tokenize
 from collections.abc import Iterator
 from os import PathLike
@@ -20,6 +19,7 @@ from foreglow.datasets.image_bytes import (
     PNG_SIGNATURE,
     at_full_scale,
     check_jpeg,
+    png_size_px,
     size_px,
 )
 from foreglow.files import check_file, read_bytes
@@ -41,6 +41,17 @@ NPY_ERRORS = (
     tokenize.TokenError,
 )
 """What NumPy raises for a broken .npy file."""
+
+
+def npy_words(error: BaseException) -> str:
+    """What NumPy found wrong with a file of arrays; it takes any other file for objects, and advises to run their code.
+
+    >>> npy_words(ValueError("This file contains pickled (object) data. If you trust the file ..."))
+    'it holds something else, or other objects'
+    """
+    words = str(error).splitlines()[0] if str(error) else type(error).__name__
+    return "it holds something else, or other objects" if "pickle" in words else words
+
 
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".npy"})
 """Endings, in lower case, by which a file in a folder is taken for an image."""
@@ -111,14 +122,15 @@ def png(image: Image) -> bytes:
     return bytes(data)
 
 
-def has_ends_of_png(path: Path) -> bool:
-    """Whether there is a file that begins and ends as a PNG does; what is between is not read."""
-    if not path.is_file() or path.stat().st_size < len(PNG_SIGNATURE) + len(PNG_END):
+def is_whole_png(path: Path) -> bool:
+    """Whether there is a PNG with all its chunks, whose checksums are right; nothing is decoded."""
+    if not path.is_file():
         return False
-    with path.open("rb") as file:
-        begin = file.read(len(PNG_SIGNATURE))
-        file.seek(-len(PNG_END), os.SEEK_END)
-        return begin == PNG_SIGNATURE and file.read() == PNG_END
+    try:
+        data = read_bytes(path, MAX_IMAGE_BYTES)
+        return data.startswith(PNG_SIGNATURE) and data.endswith(PNG_END) and bool(png_size_px(data))
+    except ValueError:
+        return False
 
 
 def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:
@@ -297,8 +309,9 @@ def _npy_array(path: Path) -> NDArray[Any]:
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
     except NPY_ERRORS as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: expected a complete .npy file with one array of numbers: {reason}") from error
+        raise ValueError(
+            f"{path}: expected a complete .npy file with one array of numbers: {npy_words(error)}"
+        ) from error
     if not isinstance(mapped, np.ndarray):
         raise ValueError(f"{path}: expected a .npy file with one array, is an archive of arrays")
     if mapped.ndim >= 2:

@@ -41,6 +41,10 @@ _MESSAGES = {
 """Messages by pydantic's type of an error, for models and dataclasses alike."""
 
 
+_KINDS = {"str": "text", "int": "a number", "float": "a number", "bool": "true or false"}
+"""What is expected, by the name with which pydantic ends the place of a field that may be of several types."""
+
+
 class Record(BaseModel):
     """A frozen JSON object: types are strict, and unknown keys are kept."""
 
@@ -81,13 +85,19 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
     except ValidationError as error:
         if error.error_count() > MAX_ERRORS:
             raise ValueError(f"{origin}: expected another structure, {error.error_count()} values are wrong") from None
-        first = error.errors(include_url=False)[0]
+        first, *others = error.errors(include_url=False)
         if first["type"] == "json_invalid":
             raise ValueError(f"{origin}: expected JSON: {first['ctx']['error']}") from None
-        field = ".".join(_printable(str(part)) for part in first["loc"]) or "document"
+        place = first["loc"]
+        kinds = [each["loc"][-1] for each in (first, *others) if each["loc"][:-1] == place[:-1] and each["loc"]]
+        is_union = len(kinds) > 1 and all(kind in _KINDS for kind in kinds)
+        place = place[:-1] if is_union else place
+        field = ".".join(_printable(str(part)) for part in place) or "document"
         got = "" if first["type"] == "missing" else f", got {shortened(first['input'])}"
         plain = first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
         message = _MESSAGES.get(first["type"], plain)
+        if is_union:
+            message = f"expected {' or '.join(dict.fromkeys(_KINDS[str(kind)] for kind in kinds))}"
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
     check_json_keys(data, origin)
     return value

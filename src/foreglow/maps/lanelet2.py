@@ -9,6 +9,7 @@ Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,6 +26,10 @@ from foreglow.maps.xml_file import number_of, read_xml
 DRIVEN_SUBTYPES = frozenset({"road", "highway", "play_street"})
 SIDES = ("left", "right")
 
+MAX_STEP_M = 5.0
+"""Nodes of a border that follow each other differ in height by at most their distance and this: a missing height may be
+written as 0 or -9999."""
+
 
 def read_lanelet2(path: Path) -> RoadMap:
     """The carriageways of a Lanelet2 file, whose first node becomes the map's origin.
@@ -32,8 +37,8 @@ def read_lanelet2(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not OSM XML, two elements of a kind have the same id, a lanelet lacks a border, a border
-            lacks a node, a number is broken, only some nodes have heights, or there is no lanelet; the message names
-            path and element.
+            lacks a node, a number is broken, only some nodes have heights, a height is far from the one before, or
+            there is no lanelet; the message names path and element.
     """
     root = read_xml(path, "osm")
     nodes, earth = _nodes(root, path)
@@ -49,8 +54,12 @@ def read_lanelet2(path: Path) -> RoadMap:
         borders = {way: np.nan_to_num(border) for way, border in borders.items()}
     for way, border in borders.items():
         check_points(border, f"{path}: way {way}")
+        _check_steps(way, ways, nodes, path)
     count = PointCount()
-    lines = [_line(first, second, count, str(path)) for first, second in _carriageways(lanelets, borders)]
+    lines = [
+        _line(borders[first], borders[second], count, f"{path}: ways {first} and {second}")
+        for first, second in _carriageways(lanelets, borders)
+    ]
     return RoadMap(lines, earth, has_heights=not is_missing.any())
 
 
@@ -113,18 +122,30 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
     return border
 
 
-def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[Floats, Floats]]:
+def _check_steps(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path: Path) -> None:
+    """ValueError if two nodes of a border that follow each other differ in height as no road does."""
+    for before, after in itertools.pairwise(ways[way]):
+        step_m = np.abs(nodes[after] - nodes[before])
+        if step_m[2] > np.hypot(step_m[0], step_m[1]) + MAX_STEP_M:  # never for NaN
+            heights_m = f"{nodes[before][2]:g} m and {nodes[after][2]:g} m"
+            raise ValueError(
+                f"{path}: way {way}: ele: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of "
+                f"the nodes, got {heights_m} of nodes {before} and {after}"
+            )
+
+
+def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[str, str]]:
     """The outer borders of each carriageway: both right borders of two lanelets with their left border in common."""
     rights_of: dict[str, list[str]] = {}
     for left, right in lanelets:
         rights_of.setdefault(left, []).append(right)
     found = []
     for left, rights in rights_of.items():
-        sides = {_side(borders[left], borders[right]): borders[right] for right in rights}
+        sides = {_side(borders[left], borders[right]): right for right in rights}
         if len(rights) == 2 and len(sides) == 2:
             found.append((sides[1.0], sides[-1.0]))
         else:
-            found += [(borders[left], borders[right]) for right in rights]
+            found += [(left, right) for right in rights]
     return found
 
 
@@ -136,10 +157,9 @@ def _side(line: Floats, other: Floats) -> float:
 
 def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> CentreLine:
     """The middle between two borders, which may have either direction."""
-    if np.linalg.norm(first[0] - second[0]) > np.linalg.norm(first[0] - second[-1]):
+    if np.linalg.norm((first[0] - second[0])[:2]) > np.linalg.norm((first[0] - second[-1])[:2]):
         second = second[::-1]
     length_m = float(max(_ways_m(first)[-1], _ways_m(second)[-1]))
-    origin = f"{origin}: lanelet near {first[0, :2].round().tolist()} m"
     count.add(length_m, origin, max(len(first), len(second)))
     num = 1 + math.ceil(length_m / STEP_M)
     first, second = _spread(first, num), _spread(second, num)
@@ -152,6 +172,8 @@ def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> Cent
     cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, 0.1)
     whole = without_repeats(np.column_stack([points, cross_slopes]))
     check_width(float(widths_m.mean()), f"{origin}: borders")
+    if len(whole) < 2:
+        raise ValueError(f"{origin}: expected borders side by side, the middle between them is a single point")
     return CentreLine(whole[:, :3], float(widths_m.mean()) / 2, whole[:, 3])
 
 

@@ -68,8 +68,7 @@ class RunSummary(_Strict):
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
-        num_lost_parts: How many of these lines are about a part of the file in which there may be any number of frames;
-            0 for live runs, which are incomplete then.
+        num_lost_parts: How many of these lines are about a part of the file in which there may be any number of frames.
         frame_sizes_px: Each (width, height) that occurred, in order of the first frame that had it.
         run_time_ms: Median, p95 and p99 of every stage and of `total`, the sum of a frame's stages, in milliseconds;
             of the latest `tally.NUM_TIMES` frames.

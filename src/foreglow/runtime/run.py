@@ -20,6 +20,7 @@ from typing import Protocol
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, lost_parts
+from foreglow.plugins import staying
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
@@ -242,11 +243,12 @@ class Replay:
                 f"{self._origin}: expected the frames of its source, has no frame {frame.frame} "
                 f"at {frame.timestamp_ns / 1e9:.3f} s"
             )
-        if frame.sequence != self._sequence:
-            self._beam.reset()
-            self._sequence = frame.sequence
-        before_ns = time.perf_counter_ns()
-        beam = self._beam.command(frame, result.tracks)
+        with staying():
+            if frame.sequence != self._sequence:
+                self._beam.reset()
+                self._sequence = frame.sequence
+            before_ns = time.perf_counter_ns()
+            beam = self._beam.command(frame, result.tracks)
         stage_ms = {"beam": (time.perf_counter_ns() - before_ns) / 1e6}
         return dataclasses.replace(result, beam=beam, stage_ms=stage_ms)
 

@@ -235,6 +235,10 @@ def _delete_key(name: str, *keys: str | int) -> Callable[[Path], None]:
         (_delete_key(IMAGES, "images", 0, "file_name"), "images.0.file_name: field is missing"),
         (_edit(IMAGES, "images", 0, "height", value=1.5), "images.0.height: expected a valid integer, got 1.5"),
         (_edit(IMAGES, "images", 0, "file_name", value="/a.png"), "images.0.file_name: expected a plain name"),
+        (
+            _edit(IMAGES, "images", 0, "timestamp", value=[1]),
+            r"images.0.timestamp: expected text or a number, got \[1\]",
+        ),
         (_edit(IMAGES, "images", 0, "id", value=12), "images.3.id: expected each image once, 12 is there twice"),
         (
             _edit(IMAGES, "images", 0, "camera_configuration", value=1),

@@ -306,7 +306,7 @@ def test_meanings_of_curvature() -> None:
         (
             '"Trust"',
             '"Trusty"',
-            r"car\.toml: position\.error_class: expected a signal of Here, one of HereId, Rest, Tr",
+            r"car\.toml: position\.error_class: expected a signal of Here, such as HereId, Rest, Tr",
         ),
         ('segment_id = "Id"\n', "", r"car\.toml: segment\.segment_id: missing"),
         ("is_probable", "is_likely", r"car\.toml: segment\.is_likely: unknown"),

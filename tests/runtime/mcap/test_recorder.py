@@ -322,6 +322,17 @@ def test_a_full_disk_at_the_end(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert not path.exists()
+    recorder.discard()  # as an off-line run does then
+    assert not any(tmp_path.iterdir())
+
+
+def test_what_is_complete_is_not_discarded(tmp_path: Path) -> None:
+    """A later sink may fail after it was closed."""
+    recorder = record(tmp_path / "drive.mcap", [full_frame(0)])
+    recorder.close()
+    (tmp_path / "drive.mcap.partial").write_bytes(b"of another run")
+    recorder.discard()
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["drive.mcap", "drive.mcap.partial"]
 
 
 @pytest.mark.slow

@@ -229,7 +229,8 @@ class Recording(FileSource):
             if name in (None, topic.name) and (topic.type, topic.encoding) in DECODERS:
                 return topic
         known = ", ".join(
-            f"{topic.name} ({topic.type or topic.encoding})" for topic in itertools.islice(topics.values(), 20)
+            f"{topic.name[:40]} ({(topic.type or topic.encoding)[:40]})"
+            for topic in itertools.islice(topics.values(), 20)
         )
         known = known or "none"
         wanted = "a topic" if name is None else f"the topic {name}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -14,11 +16,15 @@ from foreglow.datasets.exchange.source import LabelFile
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.schema import ImageCategory, Sequence, Vehicle
-from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter
+from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, check_new_split
 from foreglow.datasets.source import FrameSource
 from foreglow.datasets.video import Video
+from foreglow.folder_lock import FolderLock
 from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
+
+_HIDDEN = ".import.partial"
+"""Folder for a split until all of it is written."""
 
 _OWN = {"id", "directory", "image_ids", "num_images"}
 """Fields of a sequence that its images say."""
@@ -152,12 +158,38 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
 def write_split(dataset: LabelledSource, root: Path) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 
+    Images and labels appear when all are written; what a killed process has left of them is removed by the next one.
+
     Raises:
-        ValueError: If an image or its labels cannot be used, or `root` holds images or labels already.
+        ValueError: If an image or its labels cannot be used, `root` holds images or labels already, or another run is
+            writing into it.
         OSError: If a file cannot be read or written.
     """
+    with FolderLock(root):
+        check_new_split(root)
+        hidden = root / _HIDDEN
+        shutil.rmtree(hidden, ignore_errors=True)  # of a run that was killed
+        try:
+            num_images = _write_sequences(dataset, hidden, root)
+            for part in ("images", "labels"):
+                _remove_empty(root / part)
+                (hidden / part).rename(root / part)
+        finally:
+            shutil.rmtree(hidden, ignore_errors=True)
+    return num_images
+
+
+def _remove_empty(folder: Path) -> None:
+    """Removes a folder in which there is nothing but folders."""
+    for each in (*sorted(folder.rglob("*"), reverse=True), folder):
+        with contextlib.suppress(OSError):
+            each.rmdir()
+
+
+def _write_sequences(dataset: LabelledSource, folder: Path, root: Path) -> int:
+    """As `write_split`, into `folder`, which becomes `root`."""
     num_images = 0
-    with PVDNWriter(root, info={"rate_hz": dataset.rate_hz}) as writer:
+    with PVDNWriter(folder, info={"rate_hz": dataset.rate_hz}, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
             pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)

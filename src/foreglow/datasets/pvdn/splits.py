@@ -99,8 +99,8 @@ def found_name(path: Path) -> str:
 
 
 def _splits_below(folder: Path) -> list[Path]:
-    found = [labels.parents[1] for depth in ("*", "*/*") for labels in folder.glob(f"{depth}/labels/sequences.json")]
-    return sorted(found)
+    depths = ("[!.]*", "[!.]*/[!.]*")  # what is hidden is not complete
+    return sorted(labels.parents[1] for depth in depths for labels in folder.glob(f"{depth}/labels/sequences.json"))
 
 
 def _split_of_sequence(folder: Path) -> Path | None:

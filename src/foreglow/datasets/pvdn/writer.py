@@ -89,12 +89,13 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     1
     """
 
-    def __init__(self, root: Path | str, *, info: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, root: Path | str, *, info: Mapping[str, Any] | None = None, name: Path | None = None) -> None:
         """Makes the split's folders.
 
         Args:
             root: The split's folder, such as `out/night/val`; made if absent, must hold no split yet.
             info: Describes the data set: description, url, version, year, contributor, date_created, changed.
+            name: The folder's name in messages, if it is to be moved.
 
         Raises:
             ValueError: If the folder holds images or labels already.
@@ -102,6 +103,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         """
         self.root = Path(root)
         _make_folders(self.root)
+        self._name = name or self.root
         self._info = dict(info or {})
         self._sequences: list[Sequence] = []
         self._images: dict[int, ImageRecord] = {}
@@ -123,7 +125,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         """
         for known in self._sequences:
             if known.id == sequence.id or known.directory == sequence.directory:
-                raise ValueError(f"{self.root}: sequence: {sequence.id} ({sequence.directory}) is there already")
+                raise ValueError(f"{self._name}: sequence: {sequence.id} ({sequence.directory}) is there already")
         folder = self.root / "images" / sequence.directory
         written: list[Path] = []
         added: dict[int, ImageRecord] = {}
@@ -196,10 +198,10 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     def _record(self, labelled: LabelledImage, added: Mapping[int, ImageRecord]) -> ImageRecord:
         frame = labelled.frame
         if frame.frame in self._images or frame.frame in added:
-            raise ValueError(f"{self.root}: image id: expected each once, {frame.frame} is there twice")
+            raise ValueError(f"{self._name}: image id: expected each once, {frame.frame} is there twice")
         if not 0 <= labelled.camera_configuration < len(CAMERA_CONFIGURATIONS):
             raise ValueError(
-                f"{self.root}: camera_configuration: expected an index in a list of "
+                f"{self._name}: camera_configuration: expected an index in a list of "
                 f"{len(CAMERA_CONFIGURATIONS)}, got {labelled.camera_configuration}"
             )
         size_px = frame.width_px, frame.height_px
@@ -216,7 +218,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         for before, after in itertools.pairwise(times_ms):
             if times_ms[before] >= times_ms[after]:
                 raise ValueError(
-                    f"{self.root}: sequence {sequence.directory}: timestamp_ns of image {after}: expected a later "
+                    f"{self._name}: sequence {sequence.directory}: timestamp_ns of image {after}: expected a later "
                     f"millisecond than that of image {before}, {times_ms[before]}, got {times_ms[after]}"
                 )
 
@@ -238,12 +240,12 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
 
     def _stored(self, sequence: Sequence, image_ids: tuple[int, ...]) -> Sequence:
         if not image_ids:
-            raise ValueError(f"{self.root}: sequence {sequence.directory}: expected at least one image")
+            raise ValueError(f"{self._name}: sequence {sequence.directory}: expected at least one image")
         if not sequence.image_ids:
             return sequence.model_copy(update={"image_ids": image_ids, "num_images": len(image_ids)})
         if sorted(sequence.image_ids) != sorted(image_ids):
             raise ValueError(
-                f"{self.root}: sequence {sequence.directory}: image_ids: expected those of the images, or none"
+                f"{self._name}: sequence {sequence.directory}: image_ids: expected those of the images, or none"
             )
         return sequence
 
@@ -306,11 +308,19 @@ def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_f
         write_json(root / "labels" / name, record)
 
 
-def _make_folders(root: Path) -> None:
-    # Leftovers of an interrupted run would contradict the new labels.
+def check_new_split(root: Path) -> None:
+    """Checks that a folder holds no images and labels: leftovers of another split would contradict the new labels.
+
+    Raises:
+        ValueError: If it does.
+    """
     for folder in ("labels", "images"):
         found = next((path for path in (root / folder).rglob("*") if path.is_file()), None)
         if found is not None:
             raise ValueError(f"{found}: expected a folder without a data set, this file is there")
+
+
+def _make_folders(root: Path) -> None:
+    check_new_split(root)
     for folder in ("images", *LABEL_FOLDERS):
         (root / folder).mkdir(parents=True, exist_ok=True)

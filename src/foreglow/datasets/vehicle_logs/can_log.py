@@ -269,8 +269,8 @@ class CanDecoder:
             for field, name_in_dbc in section.signals().items():
                 if name_in_dbc not in signals:
                     raise ValueError(
-                        f"{mapping}: {name}.{field}: expected a signal of {section.message}, one of "
-                        f"{', '.join(sorted(signals))}, got {name_in_dbc!r}"
+                        f"{mapping}: {name}.{field}: expected a signal of {section.message}, such as "
+                        f"{', '.join(sorted(signals)[:20])}, got {name_in_dbc!r}"
                     )
                 _check_signal(signals[name_in_dbc], f"{dbc}: {message.name}: {name_in_dbc}")
             _check_lengths(message, str(dbc))

@@ -194,6 +194,7 @@ def fine_tune(
     from foreglow.lab.learning.training import Teacher, score_samples, torch_device, train
 
     started = time.perf_counter()
+    chosen_device = torch_device(device)  # before anything is made
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]
@@ -232,7 +233,6 @@ def fine_tune(
         (str(each.root), each, labelled_samples(each, recipe, config, "val", cache, progress)) for each in held_out
     ]
     parts.append(("what it knew before", None, joined([each.samples for each in judge])))
-    chosen_device = torch_device(device)
     before = [light_scores(score_samples(start.network, part, chosen_device)) for _, _, part in parts]
     judging = joined([part for _, _, part in parts])
     judge_weights = np.concatenate([each.weights for each in judge])

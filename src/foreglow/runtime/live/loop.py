@@ -19,7 +19,7 @@ from foreglow.runtime.live.background import Background
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.outlet import LIMIT_S, BeamOutput, Outlet
-from foreglow.runtime.live.sources import LiveSource
+from foreglow.runtime.live.sources import LiveSource, Paced
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
 from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
 from foreglow.runtime.memory import settled_memory
@@ -201,6 +201,7 @@ class LiveLoop:
             pipeline.config,
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
+            num_lost_parts=len(self._source.lost_parts) if isinstance(self._source, Paced) else 0,
         )
         return LiveSummary(
             run=run,

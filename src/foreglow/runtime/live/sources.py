@@ -102,6 +102,11 @@ class Paced:
         return self._source.skipped
 
     @property
+    def lost_parts(self) -> Sequence[str]:
+        """Those of `skipped` that are about a part of the file in which there may be any number of frames."""
+        return lost_parts(self._source)
+
+    @property
     def _wait_s(self) -> float:
         """A frame period by the wall clock; 0 if the rate is not known."""
         return 0.0 if self.rate_hz is None else 1.0 / (self.rate_hz * self.speed)
@@ -131,7 +136,7 @@ class Paced:
             yield frame
             if not self.is_lossless:
                 time.sleep(READ_AFTER * self._wait_s)
-        lost = lost_parts(self._source)
+        lost = self.lost_parts
         if lost:
             more = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
             raise ValueError(f"expected a whole recording, frames may be lost: {lost[0]}{more}")

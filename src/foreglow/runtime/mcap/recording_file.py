@@ -157,7 +157,7 @@ class RecordingFile:
         texts = {"version": metadata.version("foreglow"), "source": path_in_unicode(full_name(source_name))}
         self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
         self._chunk_start_ns: int | None = None
-        self._is_open = True
+        self._is_open, self._is_complete = True, False
 
     def wrote(self, time_ns: int) -> None:
         """Ends the chunk if the frame just written, at `time_ns`, is `CHUNK_NS` after its first one.
@@ -194,13 +194,17 @@ class RecordingFile:
         if not had_failed:
             self._check()
             self._partial.replace(self.path)
+            self._is_complete = True
 
     def discard(self) -> None:
-        """Deletes what was written, unless it was completed before."""
+        """Deletes what was written, unless it was completed before; also after a `close` that failed."""
+        if self._is_complete:
+            return
         if self._is_open:
             self._finish()
-            with contextlib.suppress(OSError):
-                self._partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self._partial.unlink(missing_ok=True)
+        self._is_complete = True
 
     def _finish(self) -> None:
         self._is_open = False

@@ -173,6 +173,17 @@ def test_a_line_that_was_cut_off_is_left_out(straight: Tuning, data: Path, tmp_p
     assert drawn(again.trials)[:2] == drawn(straight.trials)[:2]
 
 
+@pytest.mark.parametrize("damage", [b'{"op_code" 0}\n', b"\xff\xfe\n", b"[]\n", b"{}\n"])
+def test_a_damaged_line_is_told_in_words_of_ours(damage: bytes, tmp_path: Path) -> None:
+    plan = StudyPlan(str(tmp_path / "study.journal"), "name", TuningSettings())
+    open_study(plan)
+    with (tmp_path / "study.journal").open("ab") as file:
+        file.write(damage)
+    words = r"study\.journal: expected the journal of a search, a line of JSON for each step, a line is damaged"
+    with pytest.raises(ValueError, match=words):
+        open_study(plan)
+
+
 def test_a_lock_that_a_killed_process_left_is_broken_without_a_word(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import os
 from pathlib import Path
@@ -15,8 +16,10 @@ from hypothesis import strategies as st
 from foreglow.config import preset
 from foreglow.datasets import PVDN
 from foreglow.lab.learning.annotation import label_boxes
+from foreglow.lab.learning.yolo import export as export_module
 from foreglow.lab.learning.yolo.export import export_yolo, is_export, label_lines, positive_boxes, read_export, squashed
 from foreglow.proposals import make_proposer
+from foreglow.whole_files import write_atomic
 from tests.datasets.tiny_pvdn import IDS, make_pvdn, write
 from tests.lab.learning.yolo.night_data import HEIGHT_PX, WIDTH_PX, make_night_data
 from tests.stand_ins import night_image
@@ -106,10 +109,11 @@ def test_an_interrupted_export_goes_on(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         export_yolo(data, folder, size_px=64, progress=stop)
     assert is_export(folder)
-    with pytest.raises(FileNotFoundError, match=r"data\.yaml: no such file, expected a complete export"):
+    assert [path.name for path in folder.iterdir()] == [".export.partial"]
+    with pytest.raises(FileNotFoundError, match=r"export\.json: no such file, expected a complete export"):
         read_export(folder)
+    (folder / ".export.partial/labels/train/000010.txt").write_text("0 0.5 0.5 0.1 0.1\n")  # is kept
     done = folder / "labels/train/000010.txt"
-    done.write_text("0 0.5 0.5 0.1 0.1\n")  # is kept: what is done is not done again
     calls: list[int] = []
     export = export_yolo(data, folder, size_px=64, progress=lambda num_done, _: calls.append(num_done))
     assert calls == list(range(1, 17))
@@ -118,6 +122,62 @@ def test_an_interrupted_export_goes_on(tmp_path: Path) -> None:
     assert read_export(folder) == export.settings
     names = {path.relative_to(folder) for path in folder.rglob("*")}
     assert names == {path.relative_to(tmp_path / "whole") for path in (tmp_path / "whole").rglob("*")}
+
+
+def test_an_interrupted_export_with_other_settings_is_replaced(tmp_path: Path) -> None:
+    data = make_night_data(tmp_path / "data", ("val",))
+
+    def stop(_num_done: int, _num_images: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_yolo(data, tmp_path / "out", size_px=64, progress=stop)
+    export_yolo(data, tmp_path / "out", size_px=96)
+    assert not (tmp_path / "out/.export.partial").exists()
+    for path in (tmp_path / "out/images").rglob("*.png"):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        assert image.shape == (96, 96)
+
+
+def _fill(disk_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on, what is written to the file of this name fails."""
+    write = write_atomic
+
+    def write_until(path: Path, data: bytes) -> None:
+        if path.name == disk_path.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        write(path, data)
+
+    monkeypatch.setattr(export_module, "write_atomic", write_until)
+
+
+@pytest.mark.parametrize("last", ["000007.png", "000011.txt", "data.yaml", "export.json"])
+def test_a_full_disk_leaves_nothing(
+    last: str, annotated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _fill(tmp_path / last, monkeypatch)
+    with pytest.raises(OSError, match="No space left on device"):
+        export_yolo(annotated, tmp_path / "out", size_px=48)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_full_disk_leaves_an_earlier_export_as_it_was(
+    annotated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export_yolo(annotated, tmp_path / "out", size_px=48)
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    boxes = annotated / "night/val/labels/bounding_boxes/000011.json"
+    write(boxes, {"bounding_boxes": [], "labels": []})
+    later_ns = (tmp_path / "out/labels/val/000011.txt").stat().st_mtime_ns + 1
+    os.utime(boxes, ns=(later_ns, later_ns))
+    with monkeypatch.context() as patch:
+        _fill(tmp_path / "data.yaml", patch)
+        with pytest.raises(OSError, match="No space left on device"):
+            export_yolo(annotated, tmp_path / "out", size_px=48)
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+    assert export_yolo(annotated, tmp_path / "out", size_px=48).num_boxes == {"val": 0}
+    assert {path for path in (tmp_path / "out").rglob("*") if path.is_file()} == set(before)
 
 
 def test_another_export_needs_another_folder(tmp_path: Path) -> None:

@@ -222,6 +222,19 @@ def test_a_drive_of_which_a_file_is_damaged_is_made_again(
     assert digest(tmp_path / "DATA") == digest(whole)
 
 
+@pytest.mark.parametrize("damaged", ["images/S00002/020001.png", "simulation/S00002/depth/000001.png"])
+def test_a_drive_with_an_image_of_which_a_bit_is_flipped_is_made_again(
+    damaged: str, whole: Path, tmp_path: Path
+) -> None:
+    """In the middle of the file, between a whole begin and a whole end."""
+    path = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train" / damaged
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    assert simulate_dataset(tmp_path / "DATA", SCENES, drive).num_kept == 1
+    assert digest(tmp_path / "DATA") == digest(whole)
+
+
 def test_a_refusal_leaves_the_labels(whole: Path, tmp_path: Path) -> None:
     """A damaged scene is not made again, since nothing else says what was driven; the rest stays readable."""
     root = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train"

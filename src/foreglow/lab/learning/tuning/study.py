@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import json
 import os
 import socket
 import sqlite3
@@ -16,6 +17,7 @@ import numpy as np
 
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, PAPER, SPACES, Space
+from foreglow.plugins import words_of
 
 if TYPE_CHECKING:
     import optuna
@@ -124,6 +126,11 @@ def open_study(plan: StudyPlan) -> optuna.Study:
         )
     except (ModuleNotFoundError, OSError, NoJournalError):
         raise
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{plan.storage}: expected the journal of a search, a line of JSON for each step, a line is damaged: "
+            f"{words_of(error)}; choose another folder to begin anew"
+        ) from error
     except Exception as error:  # errors of SQLAlchemy, which need not be installed
         raise ValueError(f"storage: {plan.storage}: {error}") from error
 

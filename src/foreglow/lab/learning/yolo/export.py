@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -15,6 +17,7 @@ from pydantic import BaseModel, Field
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
+from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
@@ -22,6 +25,9 @@ from foreglow.whole_files import write_atomic
 
 CLASS_NAME = "light_artifact"
 SETTINGS_NAME, DATA_NAME = "export.json", "data.yaml"
+
+WORK_NAME = ".export.partial"
+"""Folder for what is exported until all of it is there."""
 
 PAPER_SIZE_PX = 960
 """Side of YOLO's images in the paper. Source: published conversion script."""
@@ -67,12 +73,12 @@ def export_yolo(
     splits: Sequence[SplitName] = SPLIT_NAMES,
     progress: Progress | None = None,
 ) -> YoloExport:
-    """Writes `folder/images/SPLIT/ID.png`, `folder/labels/SPLIT/ID.txt` and, at the end, `folder/data.yaml`.
+    """Writes `folder/images/SPLIT/ID.png`, `folder/labels/SPLIT/ID.txt` and `folder/data.yaml`.
 
     The images are grey and scaled to a square, as in the published conversion. A line of a label file is
     `0 cx cy w h`, the centre and size of a box with a key point in it, relative to the image. Images without boxes have
-    an empty file. An interrupted export continues where it stopped; images are exported again if they or their labels
-    have changed since.
+    an empty file. All files appear at the end; after an error none do. An interrupted export, whose files are hidden,
+    continues where it stopped; images are exported again if they or their labels have changed since.
 
     Args:
         data: A data set with train, val and test in PVDN's layout, with frames of 8 bits.
@@ -85,7 +91,9 @@ def export_yolo(
 
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
-        ValueError: If a file is broken, there is no such preset, or `folder` holds another export.
+        ValueError: If a file is broken, there is no such preset, `folder` holds another export, or another run is
+            writing into it.
+        OSError: If the disk is full; the message names the file.
     """
     if not data.is_dir():
         raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
@@ -102,31 +110,69 @@ def export_yolo(
         splits=tuple(wanted),
     )
     proposer = None if is_annotated else make_proposer(preset(preset_name or "paper").proposals)
-    _claim(folder, settings)
-    datasets = {name: open_labelled(found) for name, found in wanted.items()}
+    with FolderLock(folder):
+        _claim(folder, settings)
+        try:
+            export = _exported(folder, settings, wanted, proposer, progress)
+        except Exception:
+            shutil.rmtree(folder / WORK_NAME, ignore_errors=True)
+            raise
+        for part in (SETTINGS_NAME, "images", "labels", DATA_NAME):
+            _move(folder / WORK_NAME / part, folder / part)
+        (folder / WORK_NAME).rmdir()
+    return export
+
+
+def _exported(
+    folder: Path,
+    settings: ExportSettings,
+    splits: Mapping[SplitName, Path],
+    proposer: Proposer | None,
+    progress: Progress | None,
+) -> YoloExport:
+    """Exports into the hidden folder in `folder` what is in neither; that may hold what is done already."""
+    work = folder / WORK_NAME
+    if not _has_begun(work, settings):
+        shutil.rmtree(work, ignore_errors=True)
+        work.mkdir()
+        write_atomic(work / SETTINGS_NAME, (settings.model_dump_json(indent=1) + "\n").encode())
+    datasets = {name: open_labelled(found) for name, found in splits.items()}
     num_images = sum(len(dataset) for dataset in datasets.values())
     num_done, num_boxes = 0, dict.fromkeys(datasets, 0)
     for name, dataset in datasets.items():
-        images, labels = folder / "images" / name, folder / "labels" / name
+        images, labels = work / "images" / name, work / "labels" / name
         images.mkdir(parents=True, exist_ok=True)
         labels.mkdir(parents=True, exist_ok=True)
         for image_id in dataset.frame_ids:
-            label_file = labels / f"{image_id:06d}.txt"
-            if not _is_current(label_file, dataset, image_id):  # written after the image
+            done = (home / "labels" / name / f"{image_id:06d}.txt" for home in (work, folder))
+            label_file = next((path for path in done if _is_current(path, dataset, image_id)), None)
+            if label_file is None:
+                label_file = labels / f"{image_id:06d}.txt"  # written after the image
                 frame = dataset.read(image_id)
                 boxes = positive_boxes(dataset, frame, proposer)
                 write_atomic(
                     images / f"{image_id:06d}.png",
-                    cv2.imencode(".png", squashed(frame.image, size_px, frame.path))[1].tobytes(),
+                    cv2.imencode(".png", squashed(frame.image, settings.size_px, frame.path))[1].tobytes(),
                 )
                 write_atomic(label_file, label_lines(boxes, frame.width_px, frame.height_px).encode())
             num_boxes[name] += label_file.read_bytes().count(b"\n")
             num_done += 1
             if progress is not None:
                 progress(num_done, num_images)
-    data_file = folder / DATA_NAME
-    write_atomic(data_file, _data_text(tuple(datasets)).encode())
-    return YoloExport(data_file, settings, {name: len(dataset) for name, dataset in datasets.items()}, num_boxes)
+    write_atomic(work / DATA_NAME, _data_text(tuple(datasets)).encode())
+    return YoloExport(
+        folder / DATA_NAME, settings, {name: len(dataset) for name, dataset in datasets.items()}, num_boxes
+    )
+
+
+def _move(path: Path, target: Path) -> None:
+    """Gives a file or folder its final name; where a folder is there, what is in it moves into that."""
+    if path.is_dir() and target.is_dir():
+        for part in sorted(path.iterdir()):
+            _move(part, target / part.name)
+        path.rmdir()
+    else:
+        path.replace(target)
 
 
 def _is_current(label_file: Path, dataset: LabelledSource, image_id: int) -> bool:
@@ -151,7 +197,7 @@ def read_export(folder: Path) -> ExportSettings:
 
 def is_export(folder: Path) -> bool:
     """Whether `folder` holds an export, complete or not, rather than a data set."""
-    return (folder / SETTINGS_NAME).is_file()
+    return any((home / SETTINGS_NAME).is_file() for home in (folder, folder / WORK_NAME))
 
 
 def positive_boxes(dataset: LabelledSource, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
@@ -208,16 +254,22 @@ def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
 
 
 def _claim(folder: Path, settings: ExportSettings) -> None:
-    """Makes the folder and writes the settings to it, or checks them against those of an earlier export."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """ValueError if `folder` holds an export with other settings, or another data set."""
     path = folder / SETTINGS_NAME
     if path.exists():
         check_claim(path, settings, read_json(path, ExportSettings), "export")
-        return
-    for name in (DATA_NAME, "images", "labels"):
-        if (folder / name).exists():
-            raise ValueError(f"{folder / name}: expected a folder without a YOLO data set that is not of export-yolo")
-    write_atomic(path, (settings.model_dump_json(indent=1) + "\n").encode())
+    else:
+        for name in (DATA_NAME, "images", "labels"):
+            if (folder / name).exists():
+                words = "expected a folder without a YOLO data set that is not of export-yolo"
+                raise ValueError(f"{folder / name}: {words}")
+
+
+def _has_begun(work: Path, settings: ExportSettings) -> bool:
+    """Whether an export with these settings, which was interrupted or killed, is in the folder `work`."""
+    with contextlib.suppress(FileNotFoundError, ValueError):
+        return read_json(work / SETTINGS_NAME, ExportSettings) == settings
+    return False
 
 
 def check_claim(path: Path, wanted: BaseModel, known: BaseModel, what: str) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from foreglow.datasets.images import has_ends_of_png
+from foreglow.datasets.images import is_whole_png
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.simulated.files import (
     MAX_FRAMES,
@@ -60,7 +60,7 @@ def _is_whole(root: Path, file: SceneFile) -> bool:
     images += [root / "images" / folder.name / f"{image_id:06d}.png" for image_id in image_ids]
     if file.made_with.presets:
         images += [light_map_path(folder, image_id) for image_id in image_ids]
-    return all(has_ends_of_png(path) for path in images) and _is_truth_whole(root, file)
+    return all(is_whole_png(path) for path in images) and _is_truth_whole(root, file)
 
 
 def _is_truth_whole(root: Path, file: SceneFile) -> bool:

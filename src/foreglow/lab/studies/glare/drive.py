@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from foreglow.datasets.images import NPY_ERRORS
+from foreglow.datasets.images import NPY_ERRORS, npy_words
 from foreglow.datasets.json_files import Record, parse_json
 from foreglow.geometry import Floats
-from foreglow.plugins import first_line_of
 from foreglow.whole_files import open_atomic
 
 AREAS = ("own lane", "verge")
@@ -336,8 +335,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
                     raise ValueError(f"at most {MAX_DRIVE_BYTES} bytes unpacked, got more")
                 return {name: loaded[name] for name in loaded.files}
     except (zipfile.BadZipFile, zlib.error, RuntimeError, *NPY_ERRORS) as error:  # RuntimeError: an unknown compression
-        reason = first_line_of(error) or type(error).__name__
-        raise ValueError(f"{path}: expected a whole .npz file of a drive: {reason}") from error
+        raise ValueError(f"{path}: expected a whole .npz file of a drive: {npy_words(error)}") from error
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
 
