@@ -163,8 +163,6 @@ def run_experiment(
     workspace = Workspace(data, out, plan, progress, training)
     dataset = open_labelled(split_folder(data, plan.split))
     labels = read_split_labels(dataset, with_shares=True)
-    for name in ("rows", "predictions"):
-        (out / name).mkdir(parents=True, exist_ok=True)
     rows = tuple(_row(name, workspace, dataset, labels) for name in plan.rows)
     predictions = {row.name: read_predictions(_predictions_file(out, row.name)) for row in rows if row.reason is None}
     return DetectorResults(str(data), labels, plan, rows, predictions, _compared(labels, predictions, plan.seed))
@@ -182,6 +180,7 @@ def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: Split
         return known
     make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
     row = make(name, workspace, dataset, labels).model_copy(update={"key": key})
+    path.parent.mkdir(parents=True, exist_ok=True)
     row = RowResult.model_validate_json(row.model_dump_json())  # as it is read: JSON knows no infinite threshold
     kept = KeptRow(**row.model_dump(), checksums=_checksums(row, _predictions_file(workspace.out, name)))
     write_atomic(path, (kept.model_dump_json(indent=1) + "\n").encode())
@@ -261,7 +260,9 @@ def _measured(
     name: str, predictions: Predictions, frame_ms: NDArray[np.float64], workspace: Workspace, labels: SplitLabels
 ) -> RowResult:
     """The row's figures, but for those of the model; keeps the predictions."""
-    write_predictions(_predictions_file(workspace.out, name), predictions)
+    path = _predictions_file(workspace.out, name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_predictions(path, predictions)
     title = ROWS[name].title
     num_images = len(labels.lights)
     scores = np.concatenate([np.zeros(0), *predictions.scores.values()])
