@@ -130,7 +130,8 @@ def run_experiment(
 
     Raises:
         FileNotFoundError: If there are no scenes, or a model of a car does not exist.
-        ValueError: If they are broken, a stage of a car cannot be made, or the folder holds an experiment with another plan, model or scene.
+        ValueError: If they are broken, a stage of a car cannot be made, or the folder holds an experiment with another
+            plan, model or scene.
         OSError: If something cannot be written; scenes that are finished stay.
     """
     config = plan.delays.known_to(config)
