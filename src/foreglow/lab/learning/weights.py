@@ -68,7 +68,9 @@ def _check_logits(weights: Path, layers: Layers) -> None:
         write_onnx(layers, model, {})
         (logits,) = open_session(model, num_threads=1).run(None, {"crops": crops})
     if not np.isfinite(logits).all():
-        raise ValueError(f"{weights}: expected weights whose logits are finite, got NaN or infinity: they are too large")
+        raise ValueError(
+            f"{weights}: expected weights whose logits are finite, got NaN or infinity: they are too large"
+        )
 
 
 def read_state(path: Path) -> dict[str, NDArray[Any]]:

@@ -192,7 +192,9 @@ def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[
     first, second, *others = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join([first, damage(second), *others]))
     before = journal.read_bytes()
-    expected = r"study\.journal: line 2: expected a whole record of a search; choose another folder or storage, or remove"
+    expected = (
+        r"study\.journal: line 2: expected a whole record of a search; choose another folder or storage, or remove"
+    )
     with pytest.raises(ValueError, match=expected):
         open_study(plan)
     assert journal.read_bytes() == before
