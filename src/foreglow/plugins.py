@@ -243,15 +243,20 @@ def _text_of(error: BaseException) -> str:
 @contextlib.contextmanager
 def staying() -> Iterator[None]:
     """Wherever a plug-in goes in the block, the working folder is the same after it: relative paths lead there."""
-    if not _modules:
-        yield
-        return
-    here = os.open(".", os.O_PATH)  # also of a folder that was moved or removed
+    here = _working_folder() if _modules else None
     try:
         yield
     finally:
-        os.fchdir(here)
-        os.close(here)
+        if here is not None and _working_folder() != here:
+            with contextlib.suppress(OSError):  # it was moved or removed
+                os.chdir(here)
+
+
+def _working_folder() -> str | None:
+    try:
+        return os.getcwd()
+    except OSError:  # it was removed
+        return None
 
 
 @contextlib.contextmanager

@@ -172,12 +172,16 @@ def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: 
     assert message in complaint(*options, "--out", tmp_path / "run", "--epochs", 1, *given)
 
 
-def test_a_device_that_is_not_there_is_told_before_anything_is_made(tmp_path: Path, options: list[object]) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("torch.cuda.is_available", lambda: False)
-        line = complaint(*options, "--out", tmp_path / "run", "--epochs", 1, "--device", "cuda")
-    assert "device: expected a GPU that torch can use for cuda, found none; cpu needs none" in line
-    assert not (tmp_path / "run").exists()
+def test_a_device_that_is_not_there_is_said_before_samples_are_made(
+    tmp_path: Path, options: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    for given in ((), ("--from", "foreglow")):
+        line = complaint("train", options[1], *given, "--out", tmp_path / "run", "--device", "cuda")
+        assert line == "foreglow: device: expected a GPU that torch can use for cuda, found none; cpu needs none\n"
+        assert not (tmp_path / "run").exists()
 
 
 def test_inputs_that_the_network_cannot_read(tmp_path: Path, options: list[object]) -> None:

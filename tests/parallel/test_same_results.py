@@ -51,9 +51,15 @@ def workers(cluster: DaskCluster) -> Workers:
     return Cluster(cluster.address)
 
 
-def run(*arguments: object) -> None:
+def run(*arguments: object) -> str:
     result = foreglow_command(*arguments)
     assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def camera_line(told: str) -> str:
+    (line,) = (line for line in told.splitlines() if line.startswith("camera: "))
+    return line
 
 
 def contents(folder: Path, pattern: str = "**/*") -> dict[str, bytes]:
@@ -75,9 +81,10 @@ def times_of(folder: Path) -> list[tuple[int, str, int, list[str]]]:
 def test_run(data: str, kind: str, tmp_path: Path, options: tuple[object, ...], request: pytest.FixtureRequest) -> None:
     options = ("--jobs", 2) if kind == "jobs" else options
     source, alone, many = request.getfixturevalue(data), tmp_path / "one", tmp_path / "many"
-    run("run", source, "--out", alone)
-    run("run", source, "--out", many, *options)
+    told = run("run", source, "--out", alone)
+    told_of_many = run("run", source, "--out", many, *options)
     assert names(many) == names(alone) == RESULTS
+    assert camera_line(told_of_many) == camera_line(told)
     assert (many / "frames.jsonl").read_bytes() == (alone / "frames.jsonl").read_bytes()
     assert (many / "config.toml").read_bytes() == (alone / "config.toml").read_bytes()
     assert summary_of(many) == summary_of(alone)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from foreglow.geometry import Pose, rotation
-from foreglow.photometry import IntensityTable, illuminance_lx
+from foreglow.photometry import IntensityTable, illuminance_lx, read_headlamps
 
 AROUND = np.linspace(-180.0, 180.0, 361)
 UPWARDS = np.linspace(-90.0, 90.0, 181)
@@ -70,3 +70,12 @@ def test_left_is_positive_and_outside_is_dark() -> None:
 def test_bad_tables(azimuths: list[float], intensities: np.ndarray, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         IntensityTable(np.array(azimuths), np.array([0.0, 1.0]), intensities.astype(np.float32))
+
+
+def test_there_is_no_illuminance_where_the_lamp_is() -> None:
+    points = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    with pytest.raises(ValueError, match=r"points: expected points at least 1e-06 m away from the lamp, got one where"):
+        illuminance_lx(uniform(3.0), HERE, points)
+    headlamps = read_headlamps()
+    with pytest.raises(ValueError, match=r"points: expected points at least 1e-06 m away from the lamp"):
+        headlamps.illuminance_lx(headlamps.left.vehicle_from_lamp.position_m[None])

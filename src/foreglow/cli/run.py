@@ -83,8 +83,11 @@ def run(
                 "run: expected --video, --record, --view, --save and --limit without --jobs and --cluster: they go "
                 "frame by frame"
             )
-        summary = run_in_parallel(opening, str(source), out, configuration, workers)
-        finish(summary, out, *source_notes(opening()), *unused_lines(vehicle, summary))
+        frames = opening()
+        looks = look_sink(frames, None)
+        summary = run_in_parallel(opening, str(source), out, configuration, workers, looks)
+        notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
+        finish(summary, out, *notes, expectation(looks.profile, configuration))
         return
     frames = opening()
     looks = look_sink(frames, reading.limit)

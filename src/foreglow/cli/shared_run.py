@@ -51,14 +51,20 @@ def run_frames(
 
 
 def run_in_parallel(
-    opening: Opening, name: str, out: Path, configuration: PipelineConfig, workers: Workers
+    opening: Opening,
+    name: str,
+    out: Path,
+    configuration: PipelineConfig,
+    workers: Workers,
+    looks: LookSink | None = None,
 ) -> RunSummary:
-    """Runs a pipeline over each sequence on its own, with a progress bar."""
+    """Runs a pipeline over each sequence on its own, with a progress bar; `looks` sees the frames."""
     from foreglow.display.progress import PartsProgress
     from foreglow.runtime import OutputFolder, run_apart
 
     with PartsProgress(opening().num_frames) as progress:
-        return run_apart(opening, configuration, OutputFolder(out), workers, progress=progress, source_name=name)
+        folder = OutputFolder(out)
+        return run_apart(opening, configuration, folder, workers, progress=progress, source_name=name, watcher=looks)
 
 
 def finish(summary: RunSummary, out: Path, *more: str, is_interrupted: bool | None = None) -> None:

@@ -6,13 +6,23 @@ import math
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 
 from foreglow.files import shortened
 
 MAX_NUMBER = 1e12
 """No number of a configuration is larger: what is computed from larger ones may overflow."""
+
+
+def _integer(value: Any) -> Any:
+    if type(value) is not int:
+        raise PydanticCustomError("int_type", "Input should be a valid integer")
+    return value
+
+
+ONE_OF = BeforeValidator(_integer)
+"""For a field that is one of some integers: `Literal` compares by value, also if strict, so that `true` were 1."""
 
 
 class FrozenModel(BaseModel):

@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
-from foreglow.config.fields import FrozenModel
+from foreglow.config.fields import ONE_OF, FrozenModel
 
 Dispatch: TypeAlias = Literal["auto", "baseline", "avx2", "avx512"]
 """Instruction set of the native core: `auto` takes the best one that the processor has."""
@@ -74,8 +74,8 @@ class ProposalConfig(FrozenModel):
     reference_width_px: Annotated[int, Field(ge=64, le=16384)] = 1280
     working_size_px: Annotated[tuple[WorkingSide, WorkingSide], Field(strict=False)] | None = None
     normalise: bool = True
-    blur_width_px: Literal[1, 3, 5] = 5
-    blur_height_px: Literal[1, 3] = 3
+    blur_width_px: Annotated[Literal[1, 3, 5], ONE_OF] = 5
+    blur_height_px: Annotated[Literal[1, 3], ONE_OF] = 3
     blur_sigma_px: Annotated[float, Field(gt=0, le=100)] = 2.0
     window: Literal["published", "centred"] = "published"
     region_xyxy_px: Annotated[tuple[Corner, Corner, Corner, Corner], Field(strict=False)] | None = None

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.photometry.ies import read_ies
-from foreglow.photometry.intensity import IntensityTable
+from foreglow.photometry.intensity import IntensityTable, squares_m2
 from foreglow.photometry.lamps import low_beam
 from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
@@ -179,10 +179,13 @@ class Headlamps:
         Returns:
             Illuminance by both low beams together, shape (P,), lx; and by each LED at level 1, shape (P, 2, L), lx. The
             total is low beams + levels * LEDs, summed over lamps and L.
+
+        Raises:
+            ValueError: If a point is where a lamp is.
         """
         offsets = self._along_lamps(points_vehicle) - self._positions_lamp_m
         base_cd, leds_cd = self._lookup.towards(offsets)
-        per_square_m = 1.0 / (offsets * offsets).sum(-1)
+        per_square_m = 1.0 / squares_m2(offsets)
         leds_cd *= per_square_m[..., np.newaxis]
         return np.asarray((base_cd * per_square_m).sum(-1)), leds_cd
 

@@ -9,6 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from foreglow.geometry import Floats, Pose
 
+NEAREST_M = 1e-6
+"""Nearer to a lamp, which is a point here, illuminance would grow without limit."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntensityTable:
@@ -82,6 +85,22 @@ class IntensityTable:
 
 
 def illuminance_lx(table: IntensityTable, world_from_lamp: Pose, points_world: ArrayLike) -> Floats:
-    """Illuminance in lx, shape (...), at points of shape (..., 3) facing the lamp, with nothing in between."""
+    """Illuminance in lx, shape (...), at points of shape (..., 3) facing the lamp, with nothing in between.
+
+    Raises:
+        ValueError: If a point is nearer to the lamp than `NEAREST_M`.
+    """
     points = world_from_lamp.to_body(points_world)
-    return np.asarray(table.towards(points) / np.sum(points * points, -1))
+    return np.asarray(table.towards(points) / squares_m2(points))
+
+
+def squares_m2(offsets: Floats) -> Floats:
+    """Squares of distances, shape (...), to points at `offsets`, shape (..., 3), from a lamp.
+
+    Raises:
+        ValueError: If one is nearer than `NEAREST_M`.
+    """
+    squares = np.sum(offsets * offsets, -1)
+    if (squares < NEAREST_M * NEAREST_M).any():
+        raise ValueError(f"points: expected points at least {NEAREST_M:g} m away from the lamp, got one where it is")
+    return np.asarray(squares)

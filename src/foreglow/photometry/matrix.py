@@ -31,7 +31,7 @@ MAX_LED_CELLS = 64_000_000
 """Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
 
 Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
-Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
+Width: TypeAlias = Annotated[float, Field(strict=True, ge=0.001, le=90)]
 Candela: TypeAlias = Annotated[float, Field(strict=True, ge=0, le=1e6)]
 
 

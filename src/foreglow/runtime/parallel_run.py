@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import time
@@ -9,6 +10,7 @@ import uuid
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, Self
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, part_names, part_of
@@ -56,6 +58,14 @@ def _paths_in(arguments: Iterable[object]) -> Iterator[Path]:
             yield argument
 
 
+class Watcher(ResultSink, Protocol):
+    """A result sink of which each sequence has a copy, made before the first frame."""
+
+    def add(self, other: Self) -> None:
+        """Takes over what a copy has of a later sequence."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Part:
     """The run of one sequence.
@@ -66,6 +76,7 @@ class Part:
         skipped: As `FrameSource.skipped`.
         dispatch: As `Pipeline.dispatch`.
         processor: Name of the processor that it ran on.
+        watcher: The copy of the run's, if it has one.
     """
 
     name: str
@@ -73,6 +84,7 @@ class Part:
     skipped: tuple[str, ...]
     dispatch: str | None
     processor: str
+    watcher: Watcher | None = None
 
 
 def run_apart(
@@ -83,6 +95,7 @@ def run_apart(
     *,
     progress: Callable[[str, int], None] = lambda *_: None,
     source_name: str = "",
+    watcher: Watcher | None = None,
 ) -> RunSummary:
     """Runs a pipeline over each sequence of a source; `folder` then holds what `run` writes, in the same order.
 
@@ -97,6 +110,7 @@ def run_apart(
         workers: They run the sequences.
         progress: Called with the name of a sequence and the number of its frames that are done.
         source_name: Name of the source in the summary; empty takes its path, or else its own name.
+        watcher: Sees all frames as well, and is closed with those of each sequence.
 
     Raises:
         ChildProcessError: If a sequence cost several processes; the message names it.
@@ -109,7 +123,7 @@ def run_apart(
         source = opening()
         name, parts = source_name or origin_name(source), folder.make_parts()
         sequences = {sequence or source.name: sequence for sequence in part_names(source)}
-        work = functools.partial(_run_part, opening, config, parts)
+        work = functools.partial(_run_part, opening, config, parts, watcher)
         paths = (parts, *opening.paths)
         with InterruptFlag() as interrupt:
             done = dict(workers.each(work, sequences, progress, is_stopped=lambda: interrupt.is_set, paths=paths))
@@ -117,6 +131,8 @@ def run_apart(
             tally, skipped = Tally(), [line for part in runs for line in part.skipped]
             for part in runs:
                 tally.extend(part.tally)
+                if watcher is not None and part.watcher is not None:
+                    watcher.add(part.watcher)
             check_readable(name, tally, skipped)
             folder.join_parts(parts, [part.name for part in runs])
         summary = tally.summary(
@@ -135,15 +151,20 @@ def _each_once(names: Sequence[str | None]) -> str | None:
     return ", ".join(dict.fromkeys(name for name in names if name is not None)) or None
 
 
-def _run_part(opening: Opening, config: PipelineConfig, parts: Path, sequence: str, parent: Parent) -> Part:
+def _run_part(
+    opening: Opening, config: PipelineConfig, parts: Path, watcher: Watcher | None, sequence: str, parent: Parent
+) -> Part:
     """Runs one sequence; its files in `parts` have a new name, so that those of an earlier attempt do no harm."""
     frames = part_of(_source(opening, parts), sequence)
     pipeline, tally, name = _pipeline(config, parts), Tally(), uuid.uuid4().hex
+    own = copy.deepcopy(watcher)
     sinks: list[ResultSink] = [*part_sinks(parts, name), _ProgressSink(parent, sequence)]
+    if own is not None:
+        sinks.append(own)
     step_through(frames, pipeline, sinks, tally, lambda: parent.is_stopped)
     for sink in sinks:
         sink.close()
-    return Part(name, tally, tuple(frames.skipped), pipeline.dispatch, processor_name())
+    return Part(name, tally, tuple(frames.skipped), pipeline.dispatch, processor_name(), own)
 
 
 @functools.lru_cache(maxsize=1)

@@ -344,7 +344,9 @@ def test_every_kind_of_log_says_the_same_of_a_frame(begin_ns: int, tmp_path: Pat
 def test_a_log_of_another_bus(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     path.write_text("(1.0) can0 123#00\n(1.1) can0 123#01\n")
-    with pytest.raises(ValueError, match="expected frames of StreetSegment, StreetPosition, EgoMotion, with values, got none"):
+    with pytest.raises(
+        ValueError, match="expected frames of StreetSegment, StreetPosition, EgoMotion, with values, got none"
+    ):
         read_can_log(path)
     with pytest.raises(ValueError, match=r"drive\.mf4: expected a CAN log that ends in"):
         read_can_log(tmp_path / "drive.mf4")

@@ -312,6 +312,7 @@ def test_meanings_of_curvature() -> None:
         ("is_probable", "is_likely", r"car\.toml: segment\.is_likely: unknown"),
         ("max_radius_m = 5000.0", "max_radius_m = 15.0", r"max_radius_m: expected more than min_radius_m, 15"),
         ("left_when = 0", "left_when = 2", r"curvature\.left_when: .*0 or 1"),
+        ("left_when = 0", "left_when = false", r"curvature\.left_when: .*valid integer, got False"),
         ("factor = 0.2777777777777778", "factor = nan", r"speed\.factor: .*finite"),
         ("factor = 0.2777777777777778", "factor = 0.0", r"speed\.factor: expected a number other than 0"),
         ("[segment]", "bus = 1\n[segment]", r"car\.toml: bus: "),

@@ -149,6 +149,31 @@ def test_missing_box_file_is_made_again(split: Path) -> None:
     assert box_files(split) == before
 
 
+def test_boxes_that_were_changed_are_neither_counted_nor_replaced(split: Path) -> None:
+    annotate_split(split, PAPER)
+    path = split / "labels" / "bounding_boxes" / "000100.json"
+    edited = json.dumps({"bounding_boxes": [[1, 2, 3, 4]], "labels": [0.0]})
+    path.write_text(edited)
+    with pytest.raises(ValueError, match=r"bounding_boxes: sequence S\d+: expected the boxes that annotate wrote, got"):
+        annotate_split(split, PAPER)
+    assert path.read_text() == edited
+    path.unlink()
+    annotate_split(split, PAPER)
+    assert path.read_text() != edited
+
+
+def test_a_record_without_checksums_is_kept(split: Path) -> None:
+    """As an early version wrote it."""
+    annotate_split(split, PAPER)
+    record = split / "labels" / RECORD_NAME
+    lines = [line for line in record.read_text().splitlines() if not line.startswith("checksum = ")]
+    record.write_text("\n".join(lines))
+    assert "checksum" not in record.read_text()
+    before = changed(split)
+    annotate_split(split, PAPER)
+    assert changed(split) == before
+
+
 def test_broken_record_is_an_error(split: Path) -> None:
     annotate_split(split, PAPER)
     (split / "labels" / RECORD_NAME).write_text("version = 1\n")

@@ -80,6 +80,11 @@ def test_a_check_of_the_whole_recipe_has_no_other_name(tmp_path: Path) -> None:
         read_recipe(path, RECIPES["foreglow"])
 
 
+def test_an_unknown_network_is_refused_in_python_too() -> None:
+    with pytest.raises(ValueError, match=r"recipe: network: expected one of paper, compact, related, both, got 'x'"):
+        changed(recipe("compact"), {"network": "x"})
+
+
 def test_an_unknown_recipe_lists_the_known() -> None:
     with pytest.raises(ValueError, match="recipe: expected one of paper, compact, related, foreglow, got 'best'"):
         recipe("best")

@@ -5,6 +5,7 @@ import csv
 import dataclasses
 import math
 import resource
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -341,6 +342,24 @@ def _expect_damaged(folder: Path, damage: Callable[[dict[str, Any]], dict[str, A
     torch.save(damage(torch.load(path, weights_only=True)), path)
     with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):
         run(folder, one)
+
+
+@pytest.mark.parametrize("number", range(0, 40, 3))
+def test_one_wrong_bit_in_a_checkpoint_is_noticed(tmp_path: Path, number: int) -> None:
+    """In any of its parts: torch itself does not look at their checksums."""
+    one = changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0})
+    run(tmp_path, one)
+    path = tmp_path / "checkpoint.pt"
+    with zipfile.ZipFile(path) as archive:
+        parts = [part for part in archive.infolist() if part.file_size]
+    part = parts[number % len(parts)]
+    content = bytearray(path.read_bytes())
+    names = int.from_bytes(content[part.header_offset + 26 :][:2], "little")
+    extras = int.from_bytes(content[part.header_offset + 28 :][:2], "little")
+    content[part.header_offset + 30 + names + extras + part.file_size // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):
+        run(tmp_path, one)
 
 
 def test_a_checkpoint_on_a_full_disk_is_named(tmp_path: Path) -> None:

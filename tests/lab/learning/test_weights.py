@@ -67,6 +67,16 @@ def test_folding_holds_beyond_its_own_probes(published: Published) -> None:
     assert change.max() < 5e-3
 
 
+DAMAGED = r"weights\.pt: expected a whole checkpoint, found it damaged$"
+
+
+def flip_bit(path: Path, share: float) -> None:
+    """Makes one bit wrong, at a place from 0, the begin of the file, to 1, its end."""
+    content = bytearray(path.read_bytes())
+    content[int(share * len(content))] ^= 1
+    path.write_bytes(content)
+
+
 def save(path: Path, **changes: Any) -> Path:
     """The state of a random network with entries replaced, or left out where None."""
     state = OrderedDict(random_network().state_dict())
@@ -117,7 +127,7 @@ def test_missing_weights(tmp_path: Path) -> None:
         import_weights(tmp_path / "none.pt", tmp_path / "model.onnx")
 
 
-@pytest.mark.parametrize("content", [b"", b"not weights at all", b"PK\x03\x04 broken", bytes(300)])
+@pytest.mark.parametrize("content", [b"", b"not weights at all", bytes(300)])
 def test_not_a_checkpoint(tmp_path: Path, content: bytes) -> None:
     weights = tmp_path / "weights.pt"
     weights.write_bytes(content)
@@ -132,8 +142,42 @@ def test_truncated_checkpoint(tmp_path: Path, share: float) -> None:
     weights = save(tmp_path / "weights.pt")
     content = weights.read_bytes()
     weights.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(ValueError, match="expected a plain torch state dict"):
+    with pytest.raises(ValueError, match=DAMAGED):
         import_weights(weights, tmp_path / "model.onnx")
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.7, 0.95])
+def test_one_wrong_bit_is_noticed(tmp_path: Path, share: float) -> None:
+    """Torch itself reads such a file, and gives another number."""
+    weights = save(tmp_path / "weights.pt")
+    flip_bit(weights, share)
+    with pytest.raises(ValueError, match=DAMAGED):
+        import_weights(weights, tmp_path / "model.onnx")
+    assert not (tmp_path / "model.onnx").exists()
+
+
+def test_weights_in_torchs_former_format_have_no_checksum(tmp_path: Path) -> None:
+    torch.save(random_network().state_dict(), tmp_path / "weights.pt", _use_new_zipfile_serialization=False)
+    import_weights(tmp_path / "weights.pt", tmp_path / "model.onnx")
+    assert (tmp_path / "model.onnx").exists()
+
+
+@pytest.mark.parametrize("fold", [None, 1e-3])
+def test_weights_that_are_too_large_to_compute_with(tmp_path: Path, fold: float | None) -> None:
+    weights = save(tmp_path / "weights.pt", **{"conv1.weight": torch.full((32, 1, 5, 5), 3e38)})
+    with pytest.raises(ValueError, match=r"weights\.pt: expected weights whose logits are finite, got NaN or infinity"):
+        import_weights(weights, tmp_path / "model.onnx", fold)
+    assert not (tmp_path / "model.onnx").exists()
+
+
+def test_a_zip_that_torch_did_not_write(tmp_path: Path) -> None:
+    weights = tmp_path / "weights.pt"
+    weights.write_bytes(b"PK\x03\x04 broken")
+    with pytest.raises(ValueError, match=DAMAGED):
+        import_weights(weights, tmp_path / "model.onnx")
+    np.savez_compressed(tmp_path / "weights.npz", a=np.zeros(9))
+    with pytest.raises(ValueError, match=r"weights\.npz: expected a whole checkpoint"):
+        import_weights(tmp_path / "weights.npz", tmp_path / "model.onnx")
 
 
 class _Code:

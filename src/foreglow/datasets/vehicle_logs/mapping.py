@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
+from foreglow.config.fields import ONE_OF
 from foreglow.street import MAX_RADIUS_M, MIN_RADIUS_M, STRAIGHT_CODE
 
 
@@ -105,7 +106,7 @@ class CurvatureMeaning(FrozenModel):
     straight_code: Annotated[int, Field(ge=2, lt=2**32)] = STRAIGHT_CODE
     min_radius_m: Annotated[float, Field(gt=0)] = MIN_RADIUS_M
     max_radius_m: Annotated[float, Field(gt=0)] = MAX_RADIUS_M
-    left_when: Literal[0, 1] = 1
+    left_when: Annotated[Literal[0, 1], ONE_OF] = 1
 
     @model_validator(mode="after")
     def _check(self) -> CurvatureMeaning:

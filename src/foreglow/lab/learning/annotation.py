@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
+import json
 import math
 import uuid
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -27,6 +29,7 @@ from foreglow.files import to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.matching import lies_in
+from foreglow.lab.learning.kept_files import checksum
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
@@ -114,11 +117,18 @@ class Annotation:
 
 
 class _SequenceRecord(FrozenModel):
+    """What was written for a sequence.
+
+    Attributes:
+        checksum: Of all its files, as `_checksum`; those of an early version have none, and are not checked.
+    """
+
     directory: str
     num_images: int
     num_boxes: int
     num_positive: int
     num_ignored: int
+    checksum: int | None = None
 
 
 class _Record(FrozenModel):
@@ -183,11 +193,13 @@ def annotate_split(
 
     A box is labelled 1 with a key point in it and 0 without; a box that contains only doubtful light is left out. Files
     are written atomically. An interrupted call can be repeated: sequences that were finished with the same parameters
-    are kept, unless an image or its key points are newer than the boxes.
+    are kept, unless an image or its key points are newer than the boxes. Such a sequence with boxes that are not what
+    was written, perhaps by hand, is neither counted nor replaced.
 
     Raises:
         FileNotFoundError: If the split, an image or a label file is missing.
-        ValueError: If one of them is broken, or another call is writing there.
+        ValueError: If one of them is broken, boxes that were finished have changed since, or another call is writing
+            there.
         OSError: If a file cannot be written.
     """
     dataset = PVDN(root)
@@ -230,8 +242,8 @@ def _annotate_sequence(
     root: Path, config: ProposalConfig, call: str, directory: str, parent: Parent
 ) -> _SequenceRecord:
     dataset, proposer = _dataset(root, call), make_proposer(config)
-    counts = []
-    for image_id in dataset.only(directory).frame_ids:
+    counts, image_ids = [], dataset.only(directory).frame_ids
+    for image_id in image_ids:
         if parent.is_stopped:
             raise KeyboardInterrupt
         counts.append(_annotate_image(dataset, image_id, proposer))
@@ -239,7 +251,13 @@ def _annotate_sequence(
         directory=directory,
         num_images=len(counts),
         **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
+        checksum=_checksum(dataset, image_ids),
     )
+
+
+def _checksum(dataset: PVDN, image_ids: Iterable[int]) -> int:
+    """CRC-32 of those of the images' files of boxes."""
+    return zlib.crc32(json.dumps([checksum(_box_file(dataset, image_id)) for image_id in image_ids]).encode())
 
 
 @functools.lru_cache(maxsize=1)
@@ -282,12 +300,18 @@ def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> b
         return max((path.stat().st_mtime_ns for path in paths if path.exists()), default=0)
 
     keypoints = dataset.root / "labels" / "keypoints"
-    return record.num_images == len(sequence.image_ids) and all(
+    is_current = record.num_images == len(sequence.image_ids) and all(
         _box_file(dataset, image_id).exists()
         and changed_ns(_box_file(dataset, image_id))
         >= changed_ns(dataset.image_path(image_id), keypoints / f"{image_id:06d}.json")
         for image_id in sequence.image_ids
     )
+    if is_current and record.checksum not in (None, _checksum(dataset, sequence.image_ids)):
+        raise ValueError(
+            f"{_box_file(dataset, 0).parent}: sequence {sequence.directory}: expected the boxes that "
+            "annotate wrote, got changed ones; remove one of these files to have all of them made again"
+        )
+    return is_current
 
 
 def _box_file(dataset: PVDN, image_id: int) -> Path:
@@ -295,4 +319,4 @@ def _box_file(dataset: PVDN, image_id: int) -> Path:
 
 
 def _toml(record: _Record) -> bytes:
-    return tomli_w.dumps(record.model_dump()).encode()
+    return tomli_w.dumps(record.model_dump(exclude_none=True)).encode()

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from foreglow.files import shortened
+from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.lab.learning.training_progress import Epoch
 from foreglow.whole_files import write_atomic
 
@@ -90,6 +91,7 @@ def _whole_checkpoint(path: Path) -> Checkpoint | None:
     if not path.is_file():
         return None
     with whole(path.parent):
+        check_torch_file(path)
         content = torch.load(path, map_location="cpu", weights_only=True)
         if content.pop("format") != _FORMAT:
             raise ValueError("another format")

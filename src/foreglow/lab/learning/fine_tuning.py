@@ -187,14 +187,15 @@ def fine_tune(
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If one is broken or must not be learnt from, or the folder holds another training.
+        ValueError: If there is no such device, a split is broken or must not be learnt from, or the folder holds
+            another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     from foreglow.lab.learning.checkpoints import check_begun
     from foreglow.lab.learning.training import Teacher, score_samples, torch_device, train
 
     started = time.perf_counter()
-    chosen_device = torch_device(device)  # before anything is made
+    chosen_device = torch_device(device)
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]

@@ -242,10 +242,13 @@ def changed(base: Recipe, fields: dict[str, Any], origin: str = "recipe") -> Rec
     Raises:
         ValueError: If a field is unknown or out of range; the message names `origin` and the field.
     """
+    known = list(dict.fromkeys(each.network for each in RECIPES.values()))
+    if fields.get("network", known[0]) not in known:  # before what else it would have to be
+        raise ValueError(f"{origin}: network: expected one of {', '.join(known)}, got {fields['network']!r}")
     merged: dict[str, Any] = base.model_dump()
     for name, value in fields.items():
-        known = merged.get(name)
-        merged[name] = known | value if isinstance(known, dict) and isinstance(value, dict) else value
+        before = merged.get(name)
+        merged[name] = before | value if isinstance(before, dict) and isinstance(value, dict) else value
     return validated(Recipe, merged, origin)
 
 
@@ -260,9 +263,6 @@ def read_recipe(path: Path, base: Recipe) -> Recipe:
         ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
     """
     fields = _mapped(read_toml(path), lambda value: None if value == _NONE else value)
-    known = list(dict.fromkeys(each.network for each in RECIPES.values()))
-    if fields.get("network", known[0]) not in known:  # before what else it would have to be
-        raise ValueError(f"{path}: network: expected one of {', '.join(known)}, got {fields['network']!r}")
     return changed(base, fields, str(path))
 
 

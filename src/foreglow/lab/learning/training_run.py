@@ -69,8 +69,8 @@ def train_model(
 
     Raises:
         FileNotFoundError: If a split, one of its files or a teacher is missing.
-        ValueError: If one is broken or named twice, or must not be learnt from, a teacher reads something else than the
-            network, there is no such device, or the folder holds another training.
+        ValueError: If there is no such device, a split is broken or named twice, or must not be learnt from, a teacher
+            reads something else than the network, or the folder holds another training.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (fails early if it is missing)
@@ -81,7 +81,7 @@ def train_model(
     from foreglow.lab.learning.training import torch_device, train
 
     started = time.perf_counter()
-    torch_device(device)  # before anything is made
+    torch_device(device)  # known before samples are made
     models = read_teachers(teachers, recipe.inputs)
     if models and not recipe.kinds:
         raise ValueError("recipe: kinds: expected true with teachers, which tell them, got false")

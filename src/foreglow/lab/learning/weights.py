@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import re
+import tempfile
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.lab.learning.export import Layers, layers_from_state, write_onnx
+from foreglow.classifier.session import open_session
+from foreglow.lab.learning.export import SIZE_PX, Layers, layers_from_state, write_onnx
+from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.plugins import words_of
 
 
@@ -27,8 +30,8 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layer
 
     Raises:
         FileNotFoundError: If the weights, or the folder of `out`, do not exist.
-        ValueError: If the file is not a plain state dict of this network with finite values, or the tolerance is not
-            in [0, 1); the message names path, field and expectation.
+        ValueError: If the file is damaged, is not a plain state dict of this network with finite values, or what it
+            computes is not finite; or the tolerance is not in [0, 1). The message names path, field and expectation.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     if fold is not None and not 0 <= fold < 1:
@@ -38,6 +41,7 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layer
     if out.is_dir():
         raise ValueError(f"{out}: expected the path of a file to write, got a folder")
     layers = layers_from_state(read_state(weights))
+    _check_logits(weights, layers)
     if fold is not None:
         from foreglow.lab.learning.folding import fold_constant_channels
 
@@ -51,12 +55,30 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layer
     return layers
 
 
+def _check_logits(weights: Path, layers: Layers) -> None:
+    """Checks that the network computes numbers, of black crops and of noise: weights may be finite, but too large.
+
+    Raises:
+        ValueError: If it does not.
+    """
+    noise = np.random.default_rng(1).random((1, SIZE_PX, SIZE_PX), np.float32)
+    crops = np.stack([np.zeros_like(noise), noise])
+    with tempfile.TemporaryDirectory() as folder, np.errstate(over="ignore"):
+        model = Path(folder) / "model.onnx"
+        write_onnx(layers, model, {})
+        (logits,) = open_session(model, num_threads=1).run(None, {"crops": crops})
+    if not np.isfinite(logits).all():
+        raise ValueError(
+            f"{weights}: expected weights whose logits are finite, got NaN or infinity: they are too large"
+        )
+
+
 def read_state(path: Path) -> dict[str, NDArray[Any]]:
     """The state dict in `path`, checked against `networks.ArtifactNetwork`; code in the file is never executed.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not a state dict of this network with finite values.
+        ValueError: If it is damaged, or not a state dict of this network with finite values.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     if not path.is_file():
@@ -71,6 +93,7 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         ) from error
     from foreglow.lab.learning.networks import ArtifactNetwork
 
+    check_torch_file(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (

@@ -12,7 +12,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
-from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
+from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study, prepare
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -173,14 +173,41 @@ def test_a_line_that_was_cut_off_is_left_out(straight: Tuning, data: Path, tmp_p
     assert drawn(again.trials)[:2] == drawn(straight.trials)[:2]
 
 
-@pytest.mark.parametrize("damage", [b'{"op_code" 0}\n', b"\xff\xfe\n", b"[]\n", b"{}\n"])
-def test_a_damaged_line_is_told_in_words_of_ours(damage: bytes, tmp_path: Path) -> None:
-    plan = StudyPlan(str(tmp_path / "study.journal"), "name", TuningSettings())
-    open_study(plan)
-    with (tmp_path / "study.journal").open("ab") as file:
-        file.write(damage)
-    words = r"study\.journal: expected the journal of a search, a line of JSON for each step, a line is damaged"
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda line: line.replace(b",", b"*", 1),
+        lambda line: b"garbage\n",  # noqa: ARG005
+        lambda line: b"\xff" + line,
+        lambda line: line[:-1],  # two records in one line
+        lambda line: b"[" * 100_000 + b"\n",  # noqa: ARG005
+        lambda line: line.replace(b"worker_id", b"vorker_id"),
+        lambda line: line.replace(b'"op_code":', b'"op_code":"'),
+    ],
+)
+def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
+    journal = tmp_path / "study.journal"
+    plan = StudyPlan(str(journal), "name", TuningSettings())
+    prepare(open_study(plan), plan)
+    first, second, *others = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join([first, damage(second), *others]))
+    before = journal.read_bytes()
+    expected = (
+        r"study\.journal: line 2: expected a whole record of a search; choose another folder or storage, or remove"
+    )
+    with pytest.raises(ValueError, match=expected):
+        open_study(plan)
+    assert journal.read_bytes() == before
+
+
+def test_a_record_that_optuna_cannot_read(tmp_path: Path) -> None:
+    journal = tmp_path / "study.journal"
+    plan = StudyPlan(str(journal), "name", TuningSettings())
+    prepare(open_study(plan), plan)
+    journal.write_bytes(journal.read_bytes().replace(b'"study_id"', b'"study_ie"'))
+    with pytest.raises(
+        ValueError, match=r"study\.journal: expected whole records of a search: 'study_id'; choose another folder"
+    ):
         open_study(plan)
 
 

@@ -150,6 +150,16 @@ def test_a_broken_checkpoint(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_pa
             train_yolo(data, tmp_path / "run", config())
 
 
+def test_one_wrong_bit_in_the_weights_is_noticed(calls: Calls, data: Path, tmp_path: Path) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    torch.save({"weight": torch.zeros(1000)}, run.weights)
+    content = bytearray(run.weights.read_bytes())
+    content[len(content) // 2] ^= 1
+    run.weights.write_bytes(content)
+    with pytest.raises(ValueError, match=r"best\.pt: expected a whole checkpoint, found it damaged"):
+        predict_yolo(run, PVDN(data / "val"))
+
+
 def test_missing_weights(calls: Calls, data: Path, tmp_path: Path) -> None:
     run = train_yolo(data, tmp_path / "run", config(calls.name))
     run.weights.unlink()

@@ -27,6 +27,7 @@ from foreglow.lab.studies.detector.rows import (
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
 from foreglow.proposals import make_proposer
 from foreglow.proposals.reference import ReferenceProposer
+from foreglow.whole_files import RemadeWarning
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import Trainings, boxes_around, make_data, make_model
 
@@ -137,6 +138,24 @@ def test_a_repeated_call_measures_nothing_twice(trainings: Trainings, tmp_path: 
     assert calls == []
     assert len(trainings.asked) == 2
     assert again.to_json() == first.to_json()
+
+
+@pytest.mark.parametrize("name", ["predictions/paper.json", "rows/paper.json"])
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_a_row_that_is_not_what_was_written_is_made_again(tmp_path: Path, name: str, is_cut: bool) -> None:
+    """Its figures and those of its curves would contradict each other."""
+    data, out = make_data(tmp_path / "data"), tmp_path / "out"
+    plan = DetectorPlan(rows=("paper",), given=given(tmp_path, "paper"), may_train=False)
+    first = run_experiment(data, out, plan)
+    whole = (out / "predictions/paper.json").read_bytes()
+    text = (out / name).read_text()
+    place = next(each for each, letter in enumerate(text) if letter in "123" and text[each - 1] in "[ ")
+    (out / name).write_text(text[:-30] if is_cut else f"{text[:place]}4{text[place + 1 :]}")
+    with pytest.warns(RemadeWarning, match=r"rows/paper\.json: the row kept here is damaged, and is made again"):
+        again = run_experiment(data, out, plan)
+    assert (out / "predictions/paper.json").read_bytes() == whole
+    assert without_times(again) == without_times(first)
+    assert run_experiment(data, out, plan).to_json() == again.to_json()
 
 
 def test_the_same_seed_gives_the_same_table(trainings: Trainings, tmp_path: Path) -> None:

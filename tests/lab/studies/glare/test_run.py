@@ -299,6 +299,19 @@ def test_a_folder_is_of_one_paper_chain(tmp_path: Path) -> None:
         begin(model)
 
 
+def test_a_car_that_cannot_be_made_leaves_no_folder(tmp_path: Path) -> None:
+    """What it left would keep the corrected command out."""
+    scenes, out = write_scenes_of(tmp_path, scene()), tmp_path / "out"
+    plan = GlarePlan(quality="fast")
+    with pytest.raises(ValueError, match=r"beam\.policy: .*os:getcwd"):
+        run_experiment(scenes, config().commanding(policy="os:getcwd"), plan, out, progress=lambda *_: None)
+    other = tmp_path / "other.toml"
+    other.write_text('[beam]\npolicy = "os:getcwd"\n')
+    with pytest.raises(ValueError, match=r"beam\.policy: .*os:getcwd"):
+        run_experiment(scenes, config(), GlarePlan(quality="fast", also=(other,)), out, progress=lambda *_: None)
+    assert not out.exists()
+
+
 def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
     file = write_scenes_of(tmp_path, scene(), scene(seed=5))
     plan = GlarePlan(num_empty=1)

@@ -17,7 +17,7 @@ import numpy as np
 
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, PAPER, SPACES, Space
-from foreglow.plugins import words_of
+from foreglow.plugins import first_line_of
 
 if TYPE_CHECKING:
     import optuna
@@ -36,6 +36,8 @@ IMPORTANCE_TRIALS = 20
 
 _JOURNAL = b'{"op_code":'
 """With this each line of a journal begins."""
+
+_WAYS_OUT = "choose another folder or storage, or remove this file"
 
 _SQLITE = "sqlite:///"
 """The begin of a URL of a database in a file."""
@@ -126,12 +128,10 @@ def open_study(plan: StudyPlan) -> optuna.Study:
         )
     except (ModuleNotFoundError, OSError, NoJournalError):
         raise
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{plan.storage}: expected the journal of a search, a line of JSON for each step, a line is damaged: "
-            f"{words_of(error)}; choose another folder to begin anew"
-        ) from error
     except Exception as error:  # errors of SQLAlchemy, which need not be installed
+        if "://" not in plan.storage:  # a record with another field or number
+            reason = first_line_of(error) or type(error).__name__
+            raise ValueError(f"{plan.storage}: expected whole records of a search: {reason}; {_WAYS_OUT}") from error
         raise ValueError(f"storage: {plan.storage}: {error}") from error
 
 
@@ -143,7 +143,7 @@ def check_journal(path: Path) -> None:
     """Checks that a journal can be begun or continued at `path`: Optuna appends to whatever is there.
 
     Raises:
-        NoJournalError: If there is something else.
+        NoJournalError: If there is something else, or a line of it is damaged.
     """
     if not path.exists():
         return
@@ -152,6 +152,19 @@ def check_journal(path: Path) -> None:
     with path.open("rb") as file:
         if file.read(len(_JOURNAL)) not in (b"", _JOURNAL):
             raise NoJournalError(f"{path}: expected a new file, or the journal of a search, which begins with its line")
+        file.seek(0)
+        for number, line in enumerate(file, start=1):
+            if line.endswith(b"\n") and not _is_record(line):  # without it, it is being written, or never was
+                raise NoJournalError(f"{path}: line {number}: expected a whole record of a search; {_WAYS_OUT}")
+
+
+def _is_record(line: bytes) -> bool:
+    """Whether this is a line of a journal as Optuna writes it; a wrong digit in it is not noticed."""
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(record, dict) and type(record.get("op_code")) is int and isinstance(record.get("worker_id"), str)
 
 
 def check_database(path: Path) -> None:

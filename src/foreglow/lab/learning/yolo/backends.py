@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
+from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.plugins import first_line_of
 
 MIN_SCORE = 0.01
@@ -99,7 +100,11 @@ class Backend(ABC):
 
     @abstractmethod
     def load(self, weights: Path, config: YoloConfig) -> Detector:
-        """The network in `weights`."""
+        """The network in `weights`.
+
+        Raises:
+            ValueError: If the file is damaged.
+        """
 
 
 class _TorchDetector(ABC):
@@ -147,6 +152,7 @@ class LibreBackend(Backend):
         """See `Backend.load`."""
         from libreyolo import LibreYOLO
 
+        check_torch_file(weights)
         return _LibreDetector(LibreYOLO(str(weights), device=config.device), config.image_size_px)
 
 
@@ -174,6 +180,8 @@ class UltralyticsBackend(Backend):
         run = folder / "run"
         best, checkpoint = run / "weights" / "best.pt", run / "weights" / "last.pt"
         if not checkpoint.exists():
+            if config.weights:
+                check_torch_file(Path(config.weights))
             make_network(config.weights or f"yolov5{config.size}.yaml").train(
                 **training_arguments(config, data_file, run), device=_device(config), plots=False
             )
@@ -181,11 +189,13 @@ class UltralyticsBackend(Backend):
             epochs = run / "results.csv"  # a line each, below a header
             num_done = len(epochs.read_text(encoding="utf-8").splitlines()) - 1 if epochs.exists() else 0
             if num_done < config.epochs:
+                check_torch_file(checkpoint)
                 make_network(str(checkpoint)).train(resume=True)
         return best if best.exists() else checkpoint
 
     def load(self, weights: Path, config: YoloConfig) -> Detector:
         """See `Backend.load`."""
+        check_torch_file(weights)
         detector = _UltralyticsDetector(_ultralytics().YOLO(str(weights)), config.image_size_px)
         detector.device = _device(config)
         return detector
@@ -256,9 +266,10 @@ def _read_checkpoint(checkpoint: Path) -> dict[str, Any]:
     import torch
 
     try:
+        check_torch_file(checkpoint)
         content = torch.load(checkpoint, map_location="cpu", weights_only=True)
         return {name: content[name] for name in ("epoch", "best_mAP50_95")}
-    except (pickle.UnpicklingError, RuntimeError, EOFError, KeyError, TypeError) as error:
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, LookupError, TypeError) as error:
         reason = first_line_of(error) or type(error).__name__
         raise ValueError(f"{checkpoint}: expected a checkpoint ({reason}); remove it to begin again") from error
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+from collections import Counter
 from collections.abc import Mapping
 from importlib.resources import as_file, files
 
@@ -17,7 +18,7 @@ from foreglow.config import read_toml
 from foreglow.types import Frame, FrameResult, Image
 
 NUM_IMAGES = 12
-"""Images of a drive that are looked at, evenly spaced."""
+"""Images of a run that are looked at, evenly spaced; of several sequences about as many, and at least one of each."""
 
 STEP = 50
 """Frames between two of them where the number of frames is not known."""
@@ -84,19 +85,24 @@ def nearest_profile(look: Look, looks: Mapping[str, tuple[Look, Look]] | None = 
 
 
 class LookSink:
-    """A result sink that looks at a few frames of a run."""
+    """A result sink that looks at a few frames of each sequence of a run, in whatever process that is run."""
 
     def __init__(self, num_frames: int | None = None) -> None:
         """Takes the number of frames, if it is known, so that the images are spread over all."""
         self._step = STEP if num_frames is None else max(1, num_frames // NUM_IMAGES)
-        self._num_frames = 0
+        self._num_frames: Counter[str] = Counter()  # by sequence
         self._looks: list[Look] = []
 
     def write(self, frame: Frame, result: FrameResult) -> None:  # noqa: ARG002
         """Looks at every so manieth frame."""
-        if self._num_frames % self._step == 0 and len(self._looks) < NUM_IMAGES:
+        place, is_over = divmod(self._num_frames[frame.sequence], self._step)
+        if not is_over and place < NUM_IMAGES:
             self._looks.append(look_of(frame.image))
-        self._num_frames += 1
+        self._num_frames[frame.sequence] += 1
+
+    def add(self, other: LookSink) -> None:
+        """Takes over what another one has seen of later sequences."""
+        self._looks += other._looks
 
     def close(self) -> None:
         """Nothing is left to do."""

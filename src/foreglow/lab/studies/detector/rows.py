@@ -125,7 +125,7 @@ class DetectorPlan:
 
 PAPER_YOLO = "960 px; its repository: 200 epochs from COCO weights"
 
-_FORMAT = 2  # of a row's file; with another number all rows are made anew
+_FORMAT = 3  # of a row's file; with another number all rows are made anew
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import warnings
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +32,7 @@ from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.lab.learning.kept_files import checksum
 from foreglow.lab.studies.detector.rows import (
     COMPARISONS,
     ROWS,
@@ -48,7 +52,7 @@ from foreglow.proposals.reference import working_sizes
 from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
 from foreglow.types import Frame
-from foreglow.whole_files import write_atomic
+from foreglow.whole_files import RemadeWarning, write_atomic
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import RunProgress
@@ -59,7 +63,7 @@ NOT_MADE = {"name", "title", "reason"}
 
 
 class RowResult(Record):
-    """One row of the table, as `rows/NAME.json` keeps it.
+    """One row of the table.
 
     Attributes:
         name: Of `ROWS`.
@@ -94,6 +98,21 @@ class RowResult(Record):
     ceiling: dict[str, Any] = Field(default_factory=dict)
     examination: dict[str, Any] = Field(default_factory=dict)
     made_with: dict[str, Any] = Field(default_factory=dict)
+
+
+class KeptRow(RowResult):
+    """What `rows/NAME.json` holds: a row, and what tells whether it is still the one that was written.
+
+    Attributes:
+        checksums: CRC-32 of the `row` without this, and of the file of its `predictions`.
+    """
+
+    checksums: dict[str, int] = Field(default_factory=dict)
+
+    @property
+    def row(self) -> RowResult:
+        """The row alone."""
+        return RowResult.model_validate(self.model_dump(exclude={"checksums"}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +152,8 @@ def run_experiment(
     """Makes the rows of the table that can be made, and gives the reason for the others.
 
     Every row is kept in `out/rows`, its predictions in `out/predictions`, its training in `out/models`: an interrupted
-    call goes on, and a repeated one measures nothing twice.
+    call goes on, and a repeated one measures nothing twice. A row whose files have changed since they were written is
+    made again, with a `RemadeWarning`.
 
     Raises:
         FileNotFoundError: If a file of the data set or of a given model is missing.
@@ -143,8 +163,6 @@ def run_experiment(
     workspace = Workspace(data, out, plan, progress, training)
     dataset = open_labelled(split_folder(data, plan.split))
     labels = read_split_labels(dataset, with_shares=True)
-    for name in ("rows", "predictions"):
-        (out / name).mkdir(parents=True, exist_ok=True)
     rows = tuple(_row(name, workspace, dataset, labels) for name in plan.rows)
     predictions = {row.name: read_predictions(_predictions_file(out, row.name)) for row in rows if row.reason is None}
     return DetectorResults(str(data), labels, plan, rows, predictions, _compared(labels, predictions, plan.seed))
@@ -157,14 +175,34 @@ def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: Split
         return RowResult(name=name, title=ROWS[name].title, reason=reason)
     path = workspace.out / "rows" / f"{name}.json"
     key = row_key(name, workspace)
-    if path.exists() and _predictions_file(workspace.out, name).exists():
-        known = read_json(path, RowResult)
-        if known.key == key:
-            return known
+    known = _kept_row(path, _predictions_file(workspace.out, name), key)
+    if known is not None:
+        return known
     make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
     row = make(name, workspace, dataset, labels).model_copy(update={"key": key})
-    write_atomic(path, (row.model_dump_json(indent=1) + "\n").encode())
-    return read_json(path, RowResult)  # as a repeated call will: JSON knows no infinite threshold
+    path.parent.mkdir(parents=True, exist_ok=True)
+    row = RowResult.model_validate_json(row.model_dump_json())  # as it is read: JSON knows no infinite threshold
+    kept = KeptRow(**row.model_dump(), checksums=_checksums(row, _predictions_file(workspace.out, name)))
+    write_atomic(path, (kept.model_dump_json(indent=1) + "\n").encode())
+    return row
+
+
+def _kept_row(path: Path, predictions: Path, key: str) -> RowResult | None:
+    """The row in the file `path`; None if there is none of this key, or it or its predictions are damaged."""
+    if not path.exists() or not predictions.exists():
+        return None
+    with contextlib.suppress(ValueError):
+        kept = read_json(path, KeptRow)
+        if kept.key != key:
+            return None
+        if kept.checksums == _checksums(kept.row, predictions):
+            return kept.row
+    warnings.warn(RemadeWarning(f"{path}: the row kept here is damaged, and is made again"), stacklevel=2)
+    return None
+
+
+def _checksums(row: RowResult, predictions: Path) -> dict[str, int]:
+    return {"row": zlib.crc32(row.model_dump_json().encode()), "predictions": checksum(predictions)}
 
 
 def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
@@ -222,7 +260,9 @@ def _measured(
     name: str, predictions: Predictions, frame_ms: NDArray[np.float64], workspace: Workspace, labels: SplitLabels
 ) -> RowResult:
     """The row's figures, but for those of the model; keeps the predictions."""
-    write_predictions(_predictions_file(workspace.out, name), predictions)
+    path = _predictions_file(workspace.out, name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_predictions(path, predictions)
     title = ROWS[name].title
     num_images = len(labels.lights)
     scores = np.concatenate([np.zeros(0), *predictions.scores.values()])

@@ -28,7 +28,7 @@ MORE_THAN_LOW = 1.05
 """Light counts as more than the low beam's above this many times it: less is not the policy's doing."""
 
 SETTLED_S = 0.5
-"""Time without glare, seconds, after which the first glare moment is over."""
+"""Time without glare, seconds, after which the first glare moment is over; shorter pauses are bridged."""
 
 
 @dataclass(frozen=True, slots=True)

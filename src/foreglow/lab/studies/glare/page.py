@@ -222,6 +222,7 @@ def _notes(results: GlareResults) -> Iterator[str]:
     yield (
         "A driver's first glare moment is the time with light above the limit, and above "
         f"{MORE_THAN_LOW:g} times the low beam's, from the first sight until there is none for {SETTLED_S:g} s. "
+        "Shorter interruptions are bridged. "
         "Drivers who see us in the first frame of their drive are left out. At any range: the farthest limit is taken "
         "to go on; without that, to come into sight beyond it would count as dark. An approach is occluded if light of "
         "the vehicle is labelled before its driver can see us."
@@ -232,7 +233,7 @@ def _notes(results: GlareResults) -> Iterator[str]:
     )
     yield (
         f"Wrong dimming: full beam (all LEDs at {FULL_LEVEL:g} or more) goes below full while nobody is there. Nobody "
-        f"is there up to {AHEAD_S:g} s before a vehicle's first labelled light, and from {results.restore_s:g} s after "
+        f"is there up to {AHEAD_S:g} s before a vehicle's first labelled light, and from {results.after_s:g} s after "
         "it has passed. A policy that never shines full beam has no event, and is dimmed all the time. Area dimmed: "
         "share of the LEDs' light that is off while dimmed."
     )
@@ -269,7 +270,7 @@ def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[t
     yield (
         "Light on the road",
         "Share of the full high beam's, 40 to 120 m ahead, while a vehicle is present; what the low beam alone gives "
-        f"is what no light above it means. After: from {results.restore_s:g} s after the vehicle has passed.",
+        f"is what no light above it means. After: from {results.after_s:g} s after the vehicle has passed.",
         _table(_ROAD, policies),
     )
     yield (

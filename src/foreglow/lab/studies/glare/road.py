@@ -15,7 +15,7 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation.ratios import ratios
 from foreglow.lab.studies.glare.drive import GlareDrive, PolicyRun
 
-RESTORE_S = 2.0
+AFTER_S = 2.0
 """Time, seconds, that full light may take to return after a vehicle has passed."""
 
 AHEAD_S = 3.0
@@ -46,8 +46,8 @@ class Phases:
 
     Attributes:
         is_present: Shape (T,), whether a vehicle is there.
-        is_passed: Shape (T,), whether none is there, and all that were passed more than `RESTORE_S` ago; at least one.
-        is_free: Shape (T,), whether none is there, none was within `RESTORE_S`, none will be within `AHEAD_S`.
+        is_passed: Shape (T,), whether none is there, and all that were passed more than `AFTER_S` ago; at least one.
+        is_free: Shape (T,), whether none is there, none was within `AFTER_S`, none will be within `AHEAD_S`.
     """
 
     is_present: NDArray[np.bool_]
@@ -149,9 +149,9 @@ def phases(drive: GlareDrive) -> Phases:
     is_present, is_near, is_shadowed, is_after = np.zeros((4, num_frames), np.bool_)
     for begin_s, end_s in _visits(drive):
         is_present |= (times_s >= begin_s) & (times_s <= end_s)
-        is_shadowed |= (times_s >= begin_s) & (times_s <= end_s + RESTORE_S)
-        is_near |= (times_s >= begin_s - AHEAD_S) & (times_s <= end_s + RESTORE_S)
-        is_after |= times_s > end_s + RESTORE_S
+        is_shadowed |= (times_s >= begin_s) & (times_s <= end_s + AFTER_S)
+        is_near |= (times_s >= begin_s - AHEAD_S) & (times_s <= end_s + AFTER_S)
+        is_after |= times_s > end_s + AFTER_S
     is_fast = ~(drive.speeds_mps < MIN_SPEED_MPS) & ~drive.is_lit
     return Phases(is_present & is_fast, is_after & ~is_shadowed & is_fast, ~is_near & is_fast)
 

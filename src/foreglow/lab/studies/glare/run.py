@@ -129,12 +129,14 @@ def run_experiment(
     """Drives the scenes that `folder` does not have yet, and scores all; without workers, drives in this process.
 
     Raises:
-        FileNotFoundError: If there are no scenes.
-        ValueError: If they are broken, or the folder holds an experiment with another plan, model or scene.
+        FileNotFoundError: If there are no scenes, or a model of a car does not exist.
+        ValueError: If they are broken, a stage of a car cannot be made, or the folder holds an experiment with another
+            plan, model or scene.
         OSError: If something cannot be written; scenes that are finished stay.
     """
     config = plan.delays.known_to(config)
     wanted = named_scenes(scenes, plan)
+    plan.drives(config).cars()  # what is wrong with one is known before there is a folder
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
     _claim(folder, config, plan, wanted)
     todo: dict[str, tuple[int, NamedScene]] = {}

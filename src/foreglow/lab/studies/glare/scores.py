@@ -16,7 +16,7 @@ from foreglow.lab.studies.glare.pooled import (
     WrongDimming,
     score_drive,
 )
-from foreglow.lab.studies.glare.road import RESTORE_S
+from foreglow.lab.studies.glare.road import AFTER_S
 
 POLICY_ROWS = ("low", "high", "production", "paper", "foreglow", "oracle")
 """The order of the rows; other names come after, as they are found."""
@@ -102,7 +102,7 @@ class GlareResults:
     """Everything that the report shows.
 
     Attributes:
-        restore_s: Time that light had to return after a vehicle.
+        after_s: Time after a vehicle has passed from which light counts as afterwards; no `restore_s` of a policy.
         seconds: Of all drives.
         policies: The rows, in the order of `POLICY_ROWS`.
         sensitivity: How figures move with parameters; may be empty.
@@ -110,7 +110,7 @@ class GlareResults:
 
     name: str
     limits: str
-    restore_s: float
+    after_s: float
     seconds: float
     policies: tuple[PolicyScore, ...]
     sensitivity: tuple[SensitivityPoint, ...] = ()
@@ -154,7 +154,7 @@ def score_glare(
         raise ValueError(f"{name}: expected at least one drive with runs of policies, found none")
     production = scores.get(PRODUCTION)
     policies = (PolicyScore.of(policy, of_policy, production, seed) for policy, of_policy in scores.items())
-    return GlareResults(name, limits.name, RESTORE_S, seconds, tuple(policies))
+    return GlareResults(name, limits.name, AFTER_S, seconds, tuple(policies))
 
 
 def typical_drives(results: GlareResults) -> tuple[str, ...]:

@@ -258,11 +258,19 @@ class Drives:
                 f"have them, got {self._headlamps.num_leds}"
             )
 
-    def frames(self, scene: Scene) -> Iterator[tuple[Shone, ...]]:
-        """All closed loops side by side, frame by frame: ours, the paper's, and those of further cars."""
+    def cars(self) -> list[Car]:
+        """Ours, the paper's, and further ones.
+
+        Raises:
+            FileNotFoundError: If a model or table of one does not exist.
+            ValueError: If a stage of one cannot be made, such as a plug-in.
+        """
         others = [OurCar(config) for config in self._also.values()]
-        cars: list[Car] = [OurCar(self._config), PaperCar(self._config, self._paper), *others]
-        return closed_loops(scene, cars, self._delays, self._quality, self._headlamps, self._profile)
+        return [OurCar(self._config), PaperCar(self._config, self._paper), *others]
+
+    def frames(self, scene: Scene) -> Iterator[tuple[Shone, ...]]:
+        """All closed loops side by side, frame by frame, as `cars` has them."""
+        return closed_loops(scene, self.cars(), self._delays, self._quality, self._headlamps, self._profile)
 
     def driven(
         self, scene: Scene, name: str, frames: Iterator[tuple[Shone, ...]]
