@@ -252,9 +252,9 @@ def staying() -> Iterator[None]:
                 os.chdir(here)
 
 
-def _working_folder() -> str | None:
+def _working_folder() -> Path | None:
     try:
-        return os.getcwd()
+        return Path.cwd()
     except OSError:  # it was removed
         return None
 
