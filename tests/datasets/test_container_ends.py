@@ -174,6 +174,61 @@ def test_avi_without_damage(tmp_path: Path, change: Callable[[bytes], bytes], *,
     assert hole(path) == ""
 
 
+def make_h265(path: Path, parameters: str) -> Path:
+    noise = np.random.default_rng(0).integers(0, 255, (96, 128 + NUM_FRAMES), np.uint8)
+    with av.open(str(path), "w") as container:
+        options = {"preset": "ultrafast", "x265-params": f"log-level=none:{parameters}"}
+        stream: Any = container.add_stream("libx265", rate=25, options=options)
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        for index in range(NUM_FRAMES):
+            view = np.ascontiguousarray(noise[:, index : index + 128])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray").reformat(format="yuv420p")))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize("name", ["clip.hevc", "clip.ts", "clip.mp4"])
+def test_what_a_decoder_of_h265_leaves_out_is_told(tmp_path: Path, name: str) -> None:
+    path = make_h265(tmp_path / name, "keyint=8:open-gop=0:bframes=0")
+    with av.open(str(path)) as container:
+        packets = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+    data = bytearray(path.read_bytes())
+    start, stop = packets[0][0] + packets[0][1] // 2, packets[3][0]
+    data[start:stop] = bytes(stop - start)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="expected an undamaged frame"):
+        list(Video(path))
+    video = Video(path, on_error="skip")
+    assert len(list(video)) < NUM_FRAMES
+    assert video.skipped
+
+
+@pytest.mark.parametrize("suffix", [".hevc", ".ts", ".mp4", ".mkv"])
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        "keyint=8:open-gop=1",
+        "keyint=8:open-gop=0:bframes=0",
+        "keyint=8:open-gop=0:radl=2",
+        "keyint=12:bframes=4:b-pyramid=1",
+        "keyint=8:slices=2:repeat-headers=1:aud=1",
+        "intra-refresh=1",
+        "interlace=tff",
+    ],
+)
+def test_whole_films_of_h265_give_no_alarm(tmp_path: Path, suffix: str, parameters: str) -> None:
+    intact(make_h265(tmp_path / f"clip{suffix}", parameters))
+
+
+def test_h265_that_is_joined_between_key_frames_gives_no_alarm(tmp_path: Path) -> None:
+    path = make_h265(tmp_path / "clip.ts", "keyint=8:open-gop=1:bframes=3")
+    data = path.read_bytes()
+    path.write_bytes(data[len(data) * 4 // 10 // 188 * 188 :])
+    video = Video(path, on_error="skip")
+    assert 0 < len(list(video)) < NUM_FRAMES
+    assert video.skipped == []
+
+
 def intact(path: Path) -> None:
     video = Video(path, on_error="mark")
     assert [frame.is_damaged for frame in video] == [False] * NUM_FRAMES
@@ -197,12 +252,12 @@ def test_whole_films_whose_frames_refer_to_later_ones_give_no_alarm(tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi", ".ts", ".flv", ".asf"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".ts", ".m2ts", ".flv", ".asf"])
 @pytest.mark.parametrize("name", ["night_motorway_640x360.mp4", "night_motorway_2872x1622.mp4"])
 def test_real_clips_in_other_containers_give_no_alarm(tmp_path: Path, name: str, suffix: str) -> None:
     path = tmp_path / f"clip{suffix}"
     read: Any = av.open(str(shared_file(f"data/{name}")))
-    with read, av.open(str(path), "w") as written:
+    with read, av.open(str(path), "w", format="mpegts" if suffix == ".m2ts" else None) as written:
         stream: Any = written.add_stream_from_template(read.streams.video[0])
         for packet in read.demux(read.streams.video[0]):
             if packet.size:
