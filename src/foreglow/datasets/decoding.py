@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import math
+import re
 import zlib
 from collections.abc import Iterator
 from typing import Any
@@ -72,7 +73,7 @@ def video_stream(container: Any, name: str) -> Any:
 
 
 def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
-    """Each picture, and whether it is damaged; then None if packets at the end gave no picture because of damage.
+    """Each picture, and whether it is damaged; None if packets at the end gave no picture because of damage.
 
     Damaged are the pictures from a packet that is cut, incomplete or undecodable on, because each is coded as what
     differs from those before, until the next key frame. A demultiplexer may tell of a loss one packet early, hence a
@@ -80,7 +81,8 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     stays damaged. A packet that cannot be decoded does not end the stream. Damaged are also the pictures before the
     first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
     a picture of FFV1 with a wrong checksum, one of MJPEG that only a lenient decoder takes, and those of H.264 after a
-    missing frame; FFmpeg tells of none but in its log.
+    missing frame; FFmpeg tells of none but in its log. Of H.265, None comes in the place of each picture, too, that the
+    decoder has left out since the first key frame.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
     wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
@@ -101,6 +103,7 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
     damaged, key, latest = -math.inf, -math.inf, -1  # numbers of packets
     first_keys: set[int] = set()
+    unshown = _Unshown(codec.extradata) if codec.name == "hevc" else None
     for number, packet in enumerate(_packets(container, stream)):
         packet.opaque = number
         if key < 0 and packet.is_keyframe:
@@ -111,6 +114,8 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             damaged = number
         if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
             damaged = number
+        if unshown is not None and first_keys and packet.size and not packet.is_discard:
+            unshown.await_picture(number, bytes(packet))
         try:
             pictures = packet.decode()
         except StreamEnd:
@@ -125,8 +130,14 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             if picture.key_frame or (key < 0 and origin in first_keys):  # some decoders mark no picture
                 key = origin
             latest = max(latest, origin)
+            if unshown is not None:
+                for _ in unshown.lost_before(origin, is_key=key == origin):
+                    yield None, True
             yield picture, damaged >= key - 1
-    if damaged > latest:
+    if unshown is not None and unshown.numbers:
+        for _ in unshown.numbers:
+            yield None, True
+    elif damaged > latest:
         yield None, True
 
 
@@ -158,6 +169,53 @@ def _leniently_decoded(codec: Any, packet: Any) -> list[Any]:
         return list(lenient.decode(packet))
     except FFmpegError:
         return []
+
+
+class _Unshown:
+    """Which packets of H.265 have given no picture: its decoder leaves out, in silence, what lacks others.
+
+    Attributes:
+        numbers: The packets that are waited for, and may still come.
+    """
+
+    _LEADING = (8, 9)  # pictures that cannot be decoded where a stream begins with the key frame behind them (RASL)
+    _PICTURES = 32  # below, types of units are those of pictures
+    _MOST = 64  # packets; a decoder holds back 16 pictures. Source: Rec. ITU-T H.265, annex A.4
+
+    def __init__(self, extradata: bytes | None) -> None:
+        # In MP4 and Matroska, units have a length before them. Source: ISO/IEC 14496-15, section 8.3.3.
+        is_measured = extradata is not None and len(extradata) > 22 and extradata[0] == 1
+        self._length_bytes = (extradata[21] & 3) + 1 if is_measured and extradata is not None else 0
+        self.numbers: list[int] = []
+
+    def await_picture(self, number: int, data: bytes) -> None:
+        """Waits for the picture of this packet, unless it has none that must be shown."""
+        kind = next((kind for kind in self._kinds(data) if kind < self._PICTURES), None)
+        if kind is not None and kind not in self._LEADING:
+            self.numbers.append(number)
+
+    def lost_before(self, origin: int, *, is_key: bool) -> list[int]:
+        """The packets that will give no picture any more, now that packet `origin` has given one.
+
+        All pictures are shown before a key frame that come before it. Source: Rec. ITU-T H.265, section 8.1.3.
+        """
+        if origin in self.numbers:
+            self.numbers.remove(origin)
+        lost = [each for each in self.numbers if each < origin] if is_key else self.numbers[: -self._MOST]
+        self.numbers = self.numbers[len(lost) :]
+        return lost
+
+    def _kinds(self, data: bytes) -> Iterator[int]:
+        """Types of the packet's units. Source: Rec. ITU-T H.265, section 7.3.1.2."""
+        if not self._length_bytes:
+            for match in re.finditer(rb"\x00\x00\x01(.)", data, re.DOTALL):
+                yield match[1][0] >> 1 & 0x3F
+            return
+        position = 0
+        while position + self._length_bytes < len(data):
+            start = position + self._length_bytes
+            yield data[start] >> 1 & 0x3F
+            position = start + int.from_bytes(data[position:start], "big")
 
 
 class _Ffv1Checksums:

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-from foreglow.datasets import matroska
+from foreglow.datasets.container_ends import hole, missing_bytes
 from foreglow.datasets.decoding import (
     CODEC_OPTIONS,
     FILM_FORMATS,
@@ -34,8 +34,6 @@ _FEW_FRAMES = 4
 
 _LAST_PACKETS = 2
 """So many of a transport stream's video may come at the end of the file only, after another stream began."""
-
-_MAX_BOXES = 100_000  # a file with more top-level boxes is not checked to its end
 
 RAW_STREAMS = frozenset({"h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu", "av1"})
 """FFmpeg's names of streams without a container: they have no times, and FFmpeg takes them all for 25 Hz."""
@@ -60,9 +58,10 @@ class Video(FileSource):
     stream's own presentation times; a frame without one follows the frame before at the stream's rate, and so does each
     of a raw stream (`RAW_STREAMS`), at the rate that it says itself, else at 25 Hz. Where times begin anew, as in files
     that were appended to each other, so does a sequence, which is named after its first frame.
-    A cut file is an error, and so is a Matroska file that ends before its stated time or may lack frames
-    (see `matroska`), so that those behind have too small numbers. So are frames that are `damaged` (see `decoding`):
-    with `skip` they are left out, with `mark` they are marked.
+    A cut file is an error, and so is one with damage between its parts, so that frames may be missing and those behind
+    have too small numbers, one with a second film behind the first (see `container_ends`), and a Matroska file that
+    ends before its stated time. So are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
+    `mark` they are marked.
 
     Attributes:
         path: The file.
@@ -86,7 +85,7 @@ class Video(FileSource):
         check_file(self.path)
         if self.path.stat().st_size == 0:
             raise ValueError(f"{self.path}: expected a video, the file is empty")
-        missing = _missing_bytes(self.path)
+        missing = missing_bytes(self.path)
         self._truncation = f"{self.path}: truncated video, {missing} bytes are missing at the end" if missing else ""
         with self._opened() as (container, stream):
             self._is_raw = container.format.name in RAW_STREAMS
@@ -99,7 +98,7 @@ class Video(FileSource):
             # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
             self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
-            self._hole = _hole(self.path) if "matroska" in container.format.name and not missing else ""
+            self._hole = "" if missing else hole(self.path)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
         self.note = ""
@@ -236,17 +235,6 @@ class _Whole:
             raise InvalidDataError(errno.EINVAL, "another video stream begins where this one ends")
 
 
-def _hole(path: Path) -> str:
-    """A line about the first damage of a Matroska file, behind which its demultiplexer silently goes on; else empty."""
-    position = matroska.first_damage(path)
-    if position is None:
-        return ""
-    return (
-        f"{path}: byte {position}: expected an element of a Matroska file, found damage; frames may be missing from "
-        "there on, and those behind have too small numbers"
-    )
-
-
 def _stated_end_ns(container: Any) -> int:
     """When a Matroska file ends that holds nothing but a video, by its header; 0 if unknown."""
     is_stated = "matroska" in container.format.name and len(container.streams) == 1
@@ -259,40 +247,3 @@ def _num_frames(stream: Any) -> int | None:
     if num_frames and stream.duration and stream.time_base and stream.average_rate:
         return min(num_frames, round(int(stream.duration) * Fraction(stream.time_base) * Fraction(stream.average_rate)))
     return num_frames
-
-
-def _missing_bytes(path: Path) -> int:
-    """Number of bytes missing at the end of `path`, by the sizes in an MP4/MOV, Matroska/WebM or AVI container.
-
-    0 for a complete file, and for a container that states no size (MPEG-TS, live Matroska, raw streams). Demuxers end
-    silently where a file was cut.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(12)
-        if head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):
-            return max(0, _mp4_end(file, size) - size)
-        if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
-            return max(0, 8 + int.from_bytes(head[4:8], "little") - size)
-        if head.startswith(matroska.MAGIC):
-            return max(0, matroska.matroska_end(path) - size)
-    return 0
-
-
-def _mp4_end(file: BinaryIO, size: int) -> int:
-    """End of the last top-level box. Source: ISO/IEC 14496-12, section 4.2."""
-    position = 0
-    for _ in range(_MAX_BOXES):
-        if position >= size:
-            break
-        file.seek(position)
-        header = file.read(16)
-        if len(header) < 8:
-            return position + 8
-        length = int.from_bytes(header[:4], "big")
-        if length == 1:
-            length = int.from_bytes(header[8:16], "big")
-        if length < 8:  # 0: to the end of the file; else not a box
-            break
-        position += length
-    return position

@@ -1,0 +1,298 @@
+"""What is missing of a video file by its container: at the end, or between its parts.
+
+Demultiplexers of FFmpeg end silently where a file was cut, look for the next part where they find none, and leave out a
+second film behind the first. Only where parts begin and end is looked at: their data is the decoder's to judge.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from foreglow.datasets import matroska
+from foreglow.datasets.images import MAX_SIDE_PX
+
+MAX_PARTS = 4_000_000
+"""Of a file with more parts, which is two days of 25 frames a second, the rest is not checked."""
+
+_MAX_BOXES = 100_000  # an MP4 with more top-level boxes is not checked to its end
+_MP4_BEGINNINGS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+_PIECE = 1 << 20  # bytes
+
+_TRANSPORT_PACKETS = ((188, 0), (192, 4), (204, 0))
+"""Sizes of a transport stream's packets and where 0x47 stands in them. Source: ISO/IEC 13818-1; BDAV (M2TS); DVB."""
+
+_SYNC = 0x47
+_NUM_SYNCS = 8  # so many packets in a row begin with 0x47
+
+_Y4M = b"YUV4MPEG2 "
+_Y4M_CHROMA = {
+    "420": (2, 2, 2),
+    "411": (4, 1, 2),
+    "422": (2, 1, 2),
+    "444": (1, 1, 2),
+    "444alpha": (1, 1, 3),
+    "mono": (1, 1, 0),
+}
+"""By what width and height are divided in the further planes, and how many there are; alpha counts as one."""
+
+_ASF_HEADER = bytes.fromhex("3026b2758e66cf11a6d900aa0062ce6c")
+_ASF_DATA = bytes.fromhex("3626b2758e66cf11a6d900aa0062ce6c")
+_ASF_FILE = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
+_ASF_PACKET = b"\x82\0\0"
+"""How data packets begin that have error correction data, as those of all known recorders do."""
+
+_ASF_DATA_START = 50  # bytes of the data object before its first packet
+
+_FLV = b"FLV\x01"
+_FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whether it is encrypted
+
+
+def missing_bytes(path: Path) -> int:
+    """Number of bytes missing at the end of `path`, by sizes in its container; more may be missing.
+
+    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, Y4M and, up to the end of the packet that was cut, MPEG-TS. 0 for a
+    complete file, and for a container that states no size (live Matroska, raw streams).
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(12)
+        if head[4:8] in _MP4_BEGINNINGS:
+            end = _mp4(file, size)[0]
+        elif _is_avi(head):
+            end = 8 + int.from_bytes(head[4:8], "little")
+        elif head.startswith(matroska.MAGIC):
+            end = matroska.matroska_end(path)
+        elif head.startswith(_ASF_HEADER[:12]):
+            end = next((stop for _, _, stop in _asf_objects(file, size) if stop > size), size)
+        elif head.startswith(_Y4M):
+            end = _y4m_end(file, size)
+        else:
+            end = size + _missing_of_packet(file, size)
+    return max(0, end - size)
+
+
+def hole(path: Path) -> str:
+    """A line about the first damage between parts of a file, or about a second film in it; empty if there is none.
+
+    Behind the damage of Matroska, AVI, ASF/WMV and FLV the demultiplexer silently goes on, or ends.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(12)
+        if head[4:8] in _MP4_BEGINNINGS:
+            second = _mp4(file, size)[1]
+            return _second_film(path, second, "moov box") if second is not None else ""
+        if head.startswith(matroska.MAGIC):
+            kind, what, damage = "a Matroska file", "an element", matroska.first_damage(path)
+        elif _is_avi(head):
+            kind, what, damage = "an AVI file", "a chunk", _avi_damage(file, size)
+        elif head.startswith(_ASF_HEADER[:12]):
+            kind, what, damage = "an ASF file", "a packet", _asf_damage(file, size)
+        elif head.startswith(_FLV):
+            kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
+        else:
+            return ""
+        if damage is None:
+            return ""
+        file.seek(damage)
+        if file.read(16).startswith((_FLV, _ASF_HEADER)):
+            return _second_film(path, damage, "header")
+    return (
+        f"{path}: byte {damage}: expected {what} of {kind}, found damage; frames may be missing from "
+        "there on, and those behind have too small numbers"
+    )
+
+
+def _second_film(path: Path, position: int, what: str) -> str:
+    return f"{path}: byte {position}: expected one film, found a second {what}; the film that it begins is not read"
+
+
+def _mp4(file: BinaryIO, size: int) -> tuple[int, int | None]:
+    """End of the last top-level box, and where a second film's `moov` is. Source: ISO/IEC 14496-12, section 4.2.
+
+    A film has a `moov` and an `mdat`; fragments (`moof`) may be of several `moov`, and are all read.
+    """
+    position, num_data, films, is_fragmented = 0, 0, [], False
+    for _ in range(_MAX_BOXES):
+        if position >= size:
+            break
+        file.seek(position)
+        header = file.read(16)
+        if len(header) < 8:
+            return position + 8, None
+        num_data += header[4:8] == b"mdat"
+        films += [position] if header[4:8] == b"moov" else []
+        is_fragmented |= header[4:8] == b"moof"
+        length = int.from_bytes(header[:4], "big")
+        if length == 1:
+            length = int.from_bytes(header[8:16], "big")
+        if length < 8:  # 0: to the end of the file; else not a box
+            break
+        position += length
+    # Some recorders write the same `moov` twice, for one `mdat`.
+    return position, films[1] if len(films) > 1 and num_data > 1 and not is_fragmented else None
+
+
+def _y4m_end(file: BinaryIO, size: int) -> int:
+    """Where the last frame of a Y4M file ends; `size` where a frame does not begin. Source: yuv4mpeg(5)."""
+    file.seek(0)
+    words = file.readline(256).decode("latin-1").split()[1:]
+    values = {word[0]: word[1:] for word in words}
+    match = re.fullmatch(r"(420|411|422|444alpha|444|mono)(?:jpeg|mpeg2|paldv|p?(\d+))?", values.get("C", "420"))
+    sides = values.get("W", ""), values.get("H", "")
+    if match is None or not all(side.isdecimal() for side in sides):
+        return size
+    width, height = (int(side) for side in sides)
+    if max(width, height) > MAX_SIDE_PX:  # no decoder opens it
+        return size
+    across, down, num_more = _Y4M_CHROMA[match[1]]
+    samples = width * height + num_more * -(-width // across) * -(-height // down)
+    length = samples * (2 if int(match[2] or 8) > 8 else 1)
+    position = file.tell()
+    for _ in range(MAX_PARTS):
+        if position >= size:
+            return position
+        file.seek(position)
+        line = file.readline(256)
+        if not line.startswith(b"FRAME"[: len(line)]):
+            return size
+        position += (len(line) if line.endswith(b"\n") else 6) + length
+    return size
+
+
+def _missing_of_packet(file: BinaryIO, size: int) -> int:
+    """Number of bytes that a transport stream's last packet lacks; 0 for a whole one, and for another file."""
+    for length, offset in _TRANSPORT_PACKETS:
+        file.seek(0)
+        if _first_packet(file.read(length * (_NUM_SYNCS + 1)), length, offset) is None:
+            continue
+        # Whole packets at the end, wherever the first one began: a stream may have been joined in a packet.
+        file.seek(max(0, size - length * (_NUM_SYNCS + 1)))
+        tail = file.read()
+        begin = _first_packet(tail, length, offset)
+        rest = 0 if begin is None else (len(tail) - begin) % length
+        return length - rest if rest else 0
+    return 0
+
+
+def _first_packet(data: bytes, length: int, offset: int) -> int | None:
+    """Where packets of this length begin in `data`, all of which have their sync byte; None if they do not."""
+    for begin in range(length):
+        syncs = data[begin + offset :: length]
+        if len(syncs) > 1 and syncs.count(_SYNC) == len(syncs):
+            return begin
+    return None
+
+
+def _is_avi(head: bytes) -> bool:
+    return head[:4] == b"RIFF" and head[8:12] == b"AVI "
+
+
+def _avi_damage(file: BinaryIO, size: int) -> int | None:
+    """The first byte at which an AVI file lacks a chunk. Source: Microsoft, AVI RIFF file reference; OpenDML.
+
+    A recorder that was killed leaves sizes of 0, and the last chunk without its end; a chunk without data is a frame
+    that was left out.
+    """
+    position, end = 0, size
+    for _ in range(MAX_PARTS):
+        if position + 8 > size:
+            break
+        file.seek(position)
+        header = file.read(12)
+        name, length = header[:4], int.from_bytes(header[4:8], "little")
+        stop = position + 8 + length
+        if name == b"RIFF":
+            end = stop if length and stop <= size else size
+        elif position >= end:
+            break
+        if name == b"RIFF" or header[8:12] in (b"movi", b"rec "):
+            position += 12
+            continue
+        if not _is_name(name) or (stop > size and _has(file, position + 8, name)):
+            return position
+        position = stop
+        if length % 2:
+            file.seek(stop)
+            # Some recorders leave out the byte that fills an odd length.
+            position += re.match(rb"\d\d[a-z][a-z]", file.read(4)) is None
+    return None
+
+
+def _is_name(name: bytes) -> bool:
+    return all(0x20 <= each < 0x7F for each in name)
+
+
+def _has(file: BinaryIO, position: int, name: bytes) -> bool:
+    """Whether `name` is at `position` or behind."""
+    file.seek(position)
+    kept = b""
+    while data := file.read(_PIECE):
+        if name in kept + data:
+            return True
+        kept = data[1 - len(name) :]
+    return False
+
+
+def _asf_objects(file: BinaryIO, size: int) -> Iterator[tuple[bytes, int, int]]:
+    """Names, beginnings and ends of an ASF file's top-level objects. Source: ASF specification, section 2.
+
+    A recorder that was killed leaves data without a size, which go to the end of the file.
+    """
+    position = 0
+    for _ in range(_MAX_BOXES):
+        file.seek(position)
+        header = file.read(24)
+        length = int.from_bytes(header[16:], "little")
+        is_open = header[:16] == _ASF_DATA and length <= _ASF_DATA_START
+        if len(header) < 24 or (length < 24 and not is_open):
+            return
+        stop = size if is_open else position + length
+        yield header[:16], position, stop
+        position = stop
+
+
+def _asf_packet_size(file: BinaryIO, start: int, stop: int) -> int:
+    """Bytes of each packet by the header at `start`; 0 if they differ, or none is stated. Source: ASF, section 3.2."""
+    file.seek(start)
+    header = file.read(min(stop - start, _PIECE))
+    found = header.find(_ASF_FILE)
+    least, most = (header[found + begin : found + begin + 4] for begin in (92, 96))
+    return int.from_bytes(least, "little") if found >= 0 and least == most else 0
+
+
+def _asf_damage(file: BinaryIO, size: int) -> int | None:
+    """The first byte at which an ASF file lacks a packet, or at which another file's header stands."""
+    length = 0
+    for name, start, stop in _asf_objects(file, size):
+        if name == _ASF_HEADER:
+            if start:
+                return start
+            length = _asf_packet_size(file, start, stop)
+        elif name == _ASF_DATA and length:
+            first = start + _ASF_DATA_START
+            for position in range(first, min(stop, size, first + MAX_PARTS * length) - 2, length):
+                file.seek(position)
+                if file.read(3) != _ASF_PACKET:
+                    if position == first:  # without error correction data, packets begin in many ways
+                        break
+                    return position
+    return None
+
+
+def _flv_damage(file: BinaryIO) -> int | None:
+    """The first byte at which an FLV file lacks a tag. Source: Adobe, Video file format specification 10.1, annex E."""
+    file.seek(5)
+    position = int.from_bytes(file.read(4), "big") + 4
+    for _ in range(MAX_PARTS):
+        file.seek(position)
+        header = file.read(4)
+        if len(header) < 4:
+            break
+        if header[0] & 0x1F not in _FLV_TAGS:
+            return position
+        position += 11 + int.from_bytes(header[1:], "big") + 4
+    return None

@@ -1,0 +1,267 @@
+"""Files that a container lets end early in silence: cut, with a hole between their parts, or two films in one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+from foreglow.datasets import Video
+from foreglow.datasets.container_ends import hole, missing_bytes
+from tests.datasets.test_video import NUM_FRAMES
+from tests.shared_data import shared_file
+
+MEDIA = {
+    ".mp4": "libx264",
+    ".mov": "mjpeg",
+    ".3gp": "mpeg4",
+    ".mkv": "libx264",
+    ".avi": "rawvideo",
+    ".ts": "mpeg2video",
+    ".m2ts": "libx264",
+    ".flv": "libx264",
+    ".wmv": "wmv2",
+    ".asf": "msmpeg4",
+    ".mpg": "mpeg2video",
+    ".y4m": "wrapped_avframe",
+    ".mxf": "mpeg2video",
+    ".nut": "libx264",
+    ".ivf": "libvpx",
+    ".h264": "libx264",
+    ".m2v": "mpeg2video",
+    ".mjpeg": "mjpeg",
+}
+SOUND = {".mp4": "aac", ".mkv": "aac", ".avi": "mp2", ".ts": "mp2", ".flv": "aac", ".asf": "mp2", ".mpg": "mp2"}
+
+
+def make_film(
+    path: Path, pixels: str = "", *, codec: str = "", num_b: int = 0, has_sound: bool = False, **options: str
+) -> Path:
+    """Noise that moves, 130x98, whose sides are no multiples of four; perhaps with silence."""
+    codec = codec or MEDIA[path.suffix]
+    pixels = pixels or ("yuvj420p" if codec == "mjpeg" else "yuv420p")
+    noise = np.random.default_rng(0).integers(0, 255, (98, 130 + NUM_FRAMES), np.uint8)
+    if path.suffix == ".m2ts":
+        options["mpegts_m2ts_mode"] = "1"
+    if path.suffix == ".y4m":
+        options["strict"] = "-1"
+    kind = {".wmv": "asf", ".m2ts": "mpegts"}.get(path.suffix)
+    with av.open(str(path), "w", format=kind, options=options) as container:
+        stream: Any = container.add_stream(codec, rate=25, options={"bf": str(num_b)} if num_b else {})
+        stream.width, stream.height, stream.pix_fmt, stream.gop_size = 130, 98, pixels, 12
+        sound: Any = container.add_stream(SOUND[path.suffix], rate=48000) if has_sound else None
+        for index in range(NUM_FRAMES):
+            view = np.ascontiguousarray(noise[:, index : index + 130])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray").reformat(format=pixels)))
+            if sound is not None:
+                silence = av.AudioFrame.from_ndarray(np.zeros((1, 2 * 1920), np.int16), layout="stereo")
+                silence.sample_rate, silence.pts = 48000, 1920 * index
+                container.mux(sound.encode(silence))
+        container.mux(stream.encode(None))
+        if sound is not None:
+            container.mux(sound.encode(None))
+    return path
+
+
+def told(path: Path, message: str) -> int:
+    """How many frames come with `skip`, having checked that the message is told, and is an error with `stop`."""
+    with pytest.raises(ValueError, match=message) as caught:
+        list(Video(path))
+    assert "\n" not in str(caught.value)
+    video = Video(path, on_error="skip")
+    num_frames = len(list(video))
+    assert any(message in line for line in video.lost_parts)
+    return num_frames
+
+
+@pytest.mark.parametrize("pixels", ["yuv420p", "yuv422p", "yuv444p", "yuv411p", "gray", "gray16le", "yuv420p10le"])
+@pytest.mark.parametrize("kept", [0.6, -1, -4])
+def test_y4m_cut_in_a_frame(tmp_path: Path, pixels: str, kept: float) -> None:
+    path = make_film(tmp_path / "clip.y4m", pixels)
+    assert missing_bytes(path) == 0
+    data = path.read_bytes()
+    path.write_bytes(data[: int(kept * len(data)) if kept > 0 else int(kept)])
+    assert told(path, "bytes are missing at the end") < NUM_FRAMES
+
+
+def test_y4m_that_begins_with_parameters(tmp_path: Path) -> None:
+    path = tmp_path / "clip.y4m"
+    frames = 3 * (b"FRAME Ip\n" + bytes(5 * 3 + 2 * 3 * 2))
+    path.write_bytes(b"YUV4MPEG2 W5 H3 F25:1 Ip A1:1 C420jpeg XYSCSS=420JPEG\n" + frames)
+    assert missing_bytes(path) == 0
+    path.write_bytes(path.read_bytes()[:-5])
+    assert missing_bytes(path) == 5
+
+
+@pytest.mark.parametrize(("suffix", "length"), [(".ts", 188), (".m2ts", 192)])
+@pytest.mark.parametrize("kept", [1, 2, 5, 100, 187])
+def test_transport_streams_cut_in_a_packet(tmp_path: Path, suffix: str, length: int, kept: int) -> None:
+    path = make_film(tmp_path / f"clip{suffix}")
+    assert missing_bytes(path) == 0
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 6 // 10 // length * length + kept])
+    assert missing_bytes(path) == length - kept
+    assert told(path, f"truncated video, {length - kept} bytes are missing at the end") < NUM_FRAMES
+
+
+def test_a_transport_stream_that_begins_in_a_packet_is_whole(tmp_path: Path) -> None:
+    path = make_film(tmp_path / "clip.ts")
+    path.write_bytes(path.read_bytes()[100:])
+    assert missing_bytes(path) == 0
+
+
+@pytest.mark.parametrize("name", ["clip.avi", "clip.wmv", "clip.asf", "clip.flv"])
+def test_a_hole_between_parts(tmp_path: Path, name: str) -> None:
+    path = make_film(tmp_path / name)
+    data = bytearray(path.read_bytes())
+    start, length = 2 * len(data) // 5, len(data) // 7
+    data[start : start + length] = bytes(length)
+    path.write_bytes(bytes(data))
+    assert told(path, "found damage; frames may be missing from there on") < NUM_FRAMES
+
+
+@pytest.mark.parametrize("name", ["clip.mp4", "clip.mov", "clip.3gp", "clip.flv", "clip.wmv", "clip.asf"])
+def test_a_second_film_behind_the_first(tmp_path: Path, name: str) -> None:
+    path = make_film(tmp_path / name)
+    data = path.read_bytes()
+    path.write_bytes(data + data)
+    assert told(path, "expected one film, found a second") == NUM_FRAMES
+
+
+def test_fragments_are_no_second_film(tmp_path: Path) -> None:
+    path = make_film(tmp_path / "clip.mp4", movflags="frag_keyframe+empty_moov+default_base_moof")
+    data = path.read_bytes()
+    assert len(list(Video(path))) == NUM_FRAMES
+    begin = data.index(b"moof") - 4
+    path.write_bytes(data[:begin] + b"\0\0\0\x10stypmsdh\0\0\0\0" + data[begin:])
+    assert len(list(Video(path))) == NUM_FRAMES
+    path.write_bytes(data + data)  # both are read, and the times of the second go on or begin anew
+    assert hole(path) == ""
+
+
+def test_a_header_that_is_there_twice_is_no_second_film(tmp_path: Path) -> None:
+    path = make_film(tmp_path / "clip.mp4")
+    data = path.read_bytes()
+    path.write_bytes(data + data[data.index(b"moov") - 4 :])
+    assert len(list(Video(path))) == NUM_FRAMES
+
+
+def chunks(*parts: tuple[bytes, bytes], is_padded: bool = True) -> bytes:
+    fill = b"\0" if is_padded else b""
+    return b"".join(name + len(data).to_bytes(4, "little") + data + fill * (len(data) % 2) for name, data in parts)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda data: data[:4] + bytes(4) + data[8:-60], id="killed"),
+        pytest.param(lambda data: data + bytes(1000), id="zeros behind its end"),
+        pytest.param(lambda data: data + chunks((b"RIFF", b"AVIX" + chunks((b"00dc", b"123")))), id="second list"),
+    ],
+)
+@pytest.mark.parametrize("is_padded", [True, False])
+def test_avi_without_damage(tmp_path: Path, change: Callable[[bytes], bytes], *, is_padded: bool) -> None:
+    """Chunks of 0 bytes are frames that were left out; some recorders do not fill odd lengths."""
+    path = tmp_path / "clip.avi"
+    frames = [(b"00dc", bytes(length)) for length in (0, 7, 100, 0, 33, 121)]
+    movi = (b"LIST", b"movi" + chunks(*frames, is_padded=is_padded))
+    data = chunks((b"RIFF", b"AVI " + chunks((b"JUNK", bytes(10)), movi)))
+    path.write_bytes(change(data))
+    assert hole(path) == ""
+
+
+def make_h265(path: Path, parameters: str) -> Path:
+    noise = np.random.default_rng(0).integers(0, 255, (96, 128 + NUM_FRAMES), np.uint8)
+    with av.open(str(path), "w") as container:
+        options = {"preset": "ultrafast", "x265-params": f"log-level=none:{parameters}"}
+        stream: Any = container.add_stream("libx265", rate=25, options=options)
+        stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        for index in range(NUM_FRAMES):
+            view = np.ascontiguousarray(noise[:, index : index + 128])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray").reformat(format="yuv420p")))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize("name", ["clip.hevc", "clip.ts", "clip.mp4"])
+def test_what_a_decoder_of_h265_leaves_out_is_told(tmp_path: Path, name: str) -> None:
+    path = make_h265(tmp_path / name, "keyint=8:open-gop=0:bframes=0")
+    with av.open(str(path)) as container:
+        packets = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+    data = bytearray(path.read_bytes())
+    start, stop = packets[0][0] + packets[0][1] // 2, packets[3][0]
+    data[start:stop] = bytes(stop - start)
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="expected an undamaged frame"):
+        list(Video(path))
+    video = Video(path, on_error="skip")
+    assert len(list(video)) < NUM_FRAMES
+    assert video.skipped
+
+
+@pytest.mark.parametrize("suffix", [".hevc", ".ts", ".mp4", ".mkv"])
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        "keyint=8:open-gop=1",
+        "keyint=8:open-gop=0:bframes=0",
+        "keyint=8:open-gop=0:radl=2",
+        "keyint=12:bframes=4:b-pyramid=1",
+        "keyint=8:slices=2:repeat-headers=1:aud=1",
+        "intra-refresh=1",
+        "interlace=tff",
+    ],
+)
+def test_whole_films_of_h265_give_no_alarm(tmp_path: Path, suffix: str, parameters: str) -> None:
+    intact(make_h265(tmp_path / f"clip{suffix}", parameters))
+
+
+def test_h265_that_is_joined_between_key_frames_gives_no_alarm(tmp_path: Path) -> None:
+    path = make_h265(tmp_path / "clip.ts", "keyint=8:open-gop=1:bframes=3")
+    data = path.read_bytes()
+    path.write_bytes(data[len(data) * 4 // 10 // 188 * 188 :])
+    video = Video(path, on_error="skip")
+    assert 0 < len(list(video)) < NUM_FRAMES
+    assert video.skipped == []
+
+
+def intact(path: Path) -> None:
+    video = Video(path, on_error="mark")
+    assert [frame.is_damaged for frame in video] == [False] * NUM_FRAMES
+    assert video.skipped == []
+
+
+@pytest.mark.parametrize("suffix", MEDIA)
+def test_whole_films_give_no_alarm(tmp_path: Path, suffix: str) -> None:
+    intact(make_film(tmp_path / f"clip{suffix}"))
+
+
+@pytest.mark.parametrize("suffix", SOUND)
+def test_whole_films_with_sound_give_no_alarm(tmp_path: Path, suffix: str) -> None:
+    codec = {".flv": "flv", ".avi": "mpeg4"}.get(suffix, MEDIA[suffix])
+    intact(make_film(tmp_path / f"clip{suffix}", codec=codec, has_sound=True))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".avi", ".ts", ".m2ts", ".flv", ".nut"])
+def test_whole_films_whose_frames_refer_to_later_ones_give_no_alarm(tmp_path: Path, suffix: str) -> None:
+    intact(make_film(tmp_path / f"clip{suffix}", codec="libx264", num_b=3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".ts", ".m2ts", ".flv", ".asf"])
+@pytest.mark.parametrize("name", ["night_motorway_640x360.mp4", "night_motorway_2872x1622.mp4"])
+def test_real_clips_in_other_containers_give_no_alarm(tmp_path: Path, name: str, suffix: str) -> None:
+    path = tmp_path / f"clip{suffix}"
+    read: Any = av.open(str(shared_file(f"data/{name}")))
+    with read, av.open(str(path), "w", format="mpegts" if suffix == ".m2ts" else None) as written:
+        stream: Any = written.add_stream_from_template(read.streams.video[0])
+        for packet in read.demux(read.streams.video[0]):
+            if packet.size:
+                packet.stream = stream
+                written.mux(packet)
+    assert missing_bytes(path) == 0
+    assert hole(path) == ""
