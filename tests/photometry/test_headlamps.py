@@ -189,7 +189,7 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("base = 'dark.ies'\nled_files = [['one.ies']]", "", "left.base: expected light in some direction, got 0 cd"),
         ("led_files = [['one.ies']]", GRID, "left.led_files: expected either these or .grid., got both"),
         ("", "", "left.led_files: missing, and there is no .grid. either"),
-        ("", GRID.replace("pitch_deg = 3", "pitch_deg = 0"), "grid.pitch_deg: .*greater than or equal to 0.001"),
+        ("", GRID.replace("pitch_deg = 3", "pitch_deg = 0"), "grid.pitch_deg: .*greater than 0"),
         ("", GRID.replace("side_sigma_deg = 8.0", "side_sigma_deg = 1e-300"), "grid.side_sigma_deg: .*equal to 0.001"),
         ("", GRID.replace("[0.0, 2.0]", "[2.0, 0.0]"), "grid.row_elevations_deg: expected growing"),
         ("", GRID.replace("[20000.0, 10000.0]", "[1.0]"), "grid.row_peaks_cd: expected one for each of 2 rows, got 1"),

@@ -31,7 +31,7 @@ MAX_LED_CELLS = 64_000_000
 """Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
 
 Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
-Width: TypeAlias = Annotated[float, Field(strict=True, ge=0.001, le=90)]
+Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
 Candela: TypeAlias = Annotated[float, Field(strict=True, ge=0, le=1e6)]
 
 
@@ -102,7 +102,7 @@ class LedGrid(FrozenModel):
     pitch_deg: Width
     row_elevations_deg: Annotated[tuple[Angle, ...], Field(strict=False, min_length=1, max_length=64)]
     row_peaks_cd: Annotated[tuple[Candela, ...], Field(strict=False)]
-    side_sigma_deg: Width
+    side_sigma_deg: Annotated[float, Field(strict=True, ge=0.001, le=90)]
     everywhere_cd: Candela
     half_width_deg: Width
     half_height_deg: Width
