@@ -191,7 +191,7 @@ def make_h265(path: Path, parameters: str) -> Path:
 def test_what_a_decoder_of_h265_leaves_out_is_told(tmp_path: Path, name: str) -> None:
     path = make_h265(tmp_path / name, "keyint=8:open-gop=0:bframes=0")
     with av.open(str(path)) as container:
-        packets = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+        packets = [(packet.pos or 0, packet.size) for packet in container.demux(video=0) if packet.size]
     data = bytearray(path.read_bytes())
     start, stop = packets[0][0] + packets[0][1] // 2, packets[3][0]
     data[start:stop] = bytes(stop - start)
