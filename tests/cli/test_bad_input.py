@@ -140,12 +140,13 @@ def test_full_disk_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
     monkeypatch.setattr(OutputFolder, "line_sinks", on_a_full_disk)
     out = tmp_path / "out"
     out.mkdir()
-    for name in ("frames.jsonl", "config.toml"):
-        (out / name).write_text("older")
+    older = {"frames.jsonl": '{"frame":0,"sequence":"","timestamp_ns":0}\n', "config.toml": "older"}
+    for name, text in older.items():
+        (out / name).write_text(text)
     assert "frames.jsonl: No space left on device" in complaint(
         "run", folder, "--out", out, "--config", config
     ).replace(".partial", "")
-    assert {path.name: path.read_text() for path in out.iterdir()} == {"frames.jsonl": "older", "config.toml": "older"}
+    assert {path.name: path.read_text() for path in out.iterdir()} == older
 
 
 def test_source_that_would_be_overwritten(tmp_path: Path, config: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from foreglow.datasets import Video
 from foreglow.datasets.h264_numbers import H264Numbers
+from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.source import OnError
 from tests.datasets.test_video import NUM_FRAMES, make_video
 
@@ -302,6 +303,40 @@ def test_mjpeg_that_ends_too_early_is_damage(tmp_path: Path) -> None:
     assert [frame.frame for frame in frames] == list(range(30))  # a lenient decoder fills the picture
     assert frames[10].is_damaged
     assert sum(frame.is_damaged for frame in frames) <= 2
+
+
+@pytest.mark.parametrize("kind", ["gap", "no end"])
+def test_mjpeg_that_libjpeg_finds_wrong_is_damage(tmp_path: Path, kind: str) -> None:
+    """FFmpeg, strict as it is, takes a part of such data for whole."""
+    path = make_noise(tmp_path / "clip.avi", "mjpeg", "yuvj420p")
+    whole = path.read_bytes()
+    num_told = 0
+    for position, size in packets_of(path)[2:22:2]:
+        data = bytearray(whole)
+        start, stop = position, position + size
+        if kind == "gap":
+            data[start + size // 2 : stop] = data[start + size // 2 + 100 : stop] + bytes(100)
+        else:  # cut, and the rest of the chunk is of the frame before
+            data[start + size // 2 : stop] = data[start + size // 4 : start + size // 4 + stop - start - size // 2]
+        path.write_bytes(bytes(data))
+        num_told += sum(frame.is_damaged for frame in Video(path, on_error="mark")) > 0
+    assert num_told >= 9, num_told
+
+
+def test_whole_mjpeg_of_cameras_is_no_damage(tmp_path: Path) -> None:
+    """Whose frames are filled up to their end, or come without tables."""
+    path = make_noise(tmp_path / "clip.avi", "mjpeg", "yuvj420p")
+    position, size = packets_of(path)[3]
+    frame = path.read_bytes()[position : position + size]
+    assert not is_damaged_mjpeg(frame, 1 << 26)
+    assert not is_damaged_mjpeg(frame[:-2] + bytes(16) + frame[-2:], 1 << 26)
+    table = frame.index(b"\xff\xc4")
+    assert not is_damaged_mjpeg(
+        frame[:table] + frame[table + 2 + int.from_bytes(frame[table + 2 : table + 4]) :], 1 << 26
+    )
+    assert not is_damaged_mjpeg(b"", 1 << 26)
+    assert not is_damaged_mjpeg(frame[: size // 2], 1000)
+    assert is_damaged_mjpeg(frame[: size // 2], 1 << 26)
 
 
 def test_the_lost_rest_of_a_matroska_file_is_told(tmp_path: Path) -> None:

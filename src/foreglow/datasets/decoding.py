@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets.h264_numbers import H264Numbers
+from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
@@ -80,9 +81,9 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     key frame counts only if the packet before it was whole, too. A stream without further key frames (intra refresh)
     stays damaged. A packet that cannot be decoded does not end the stream. Damaged are also the pictures before the
     first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
-    a picture of FFV1 with a wrong checksum, one of MJPEG that only a lenient decoder takes, and those of H.264 after a
-    missing frame; FFmpeg tells of none but in its log. Of H.265, None comes in the place of each picture, too, that the
-    decoder has left out since the first key frame.
+    a picture of FFV1 with a wrong checksum, one of MJPEG of which libjpeg or FFmpeg has to guess a part, and those of
+    H.264 after a missing frame; FFmpeg tells of none but in its log. Of H.265, None comes in the place of each picture,
+    too, that the decoder has left out since the first key frame.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
     wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
@@ -113,6 +114,8 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
         if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
             damaged = number
         if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
+            damaged = number
+        if codec.name == "mjpeg" and packet.size and is_damaged_mjpeg(bytes(packet), MAX_SIDE_PX**2):
             damaged = number
         if unshown is not None and first_keys and packet.size and not packet.is_discard:
             unshown.await_picture(number, bytes(packet))

@@ -40,6 +40,10 @@ _WEBP_ANIMATION = 0x02
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
 _JPEG_PADDING = re.compile(r"Corrupt JPEG data: [1-4] extraneous bytes before marker 0xd9")
+# Of streams, cameras are known that fill up to each marker, and frames without the usual tables, which decoders know.
+_MJPEG_USUAL = re.compile(
+    r"Corrupt JPEG data: \d{1,2} extraneous bytes before marker 0xd[0-9]|(Huffman|Quantization) table .* not defined"
+)
 # Start of frame, ITU-T T.81 table B.1: 0xC0..0xCF without the tables DHT (C4), JPG (C8) and DAC (CC).
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Markers without a length: TEM, RST0..RST7.
@@ -123,11 +127,31 @@ def check_jpeg(data: bytes) -> None:
         ValueError: If libjpeg, which makes a picture of any data, has to leave some out or to guess; the message does
             not say where.
     """
+    damage = _damage(data)
+    if damage and not _JPEG_PADDING.fullmatch(damage):
+        raise ValueError(f"damaged JPEG: {damage.removeprefix('Corrupt JPEG data: ')}")
+
+
+def is_damaged_mjpeg(data: bytes, max_pixels: int) -> bool:
+    """Whether the coded data of a frame of MJPEG are not what an encoder writes, as for `check_jpeg`.
+
+    False for a frame that libjpeg cannot begin with, or that has more pixels: the stream's own decoder will say so.
+    """
+    try:
+        height, width, *_ = simplejpeg.decode_jpeg_header(data)
+    except ValueError:
+        return False
+    damage = _damage(data) if height * width <= max_pixels else ""
+    return bool(damage) and not _MJPEG_USUAL.fullmatch(damage)
+
+
+def _damage(data: bytes) -> str:
+    """What libjpeg says of a JPEG while it decodes it; empty if nothing."""
     try:
         simplejpeg.decode_jpeg(data, colorspace="GRAY")
     except ValueError as error:
-        if not _JPEG_PADDING.fullmatch(str(error)):
-            raise ValueError(f"damaged JPEG: {str(error).removeprefix('Corrupt JPEG data: ')}") from None
+        return str(error)
+    return ""
 
 
 def size_px(data: bytes) -> tuple[int, int] | None:
