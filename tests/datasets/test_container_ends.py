@@ -114,7 +114,16 @@ def test_a_transport_stream_that_begins_in_a_packet_is_whole(tmp_path: Path) -> 
     assert missing_bytes(path) == 0
 
 
-@pytest.mark.parametrize("name", ["clip.avi", "clip.wmv", "clip.asf", "clip.flv"])
+@pytest.mark.parametrize("kept", [0.3, 0.6, 0.95])
+def test_mxf_that_was_cut(tmp_path: Path, kept: float) -> None:
+    path = make_film(tmp_path / "clip.mxf")
+    data = path.read_bytes()
+    assert missing_bytes(path) == 0
+    path.write_bytes(data[: int(kept * len(data))])
+    assert told(path, "bytes are missing at the end") < NUM_FRAMES
+
+
+@pytest.mark.parametrize("name", ["clip.avi", "clip.wmv", "clip.asf", "clip.flv", "clip.mxf"])
 def test_a_hole_between_parts(tmp_path: Path, name: str) -> None:
     path = make_film(tmp_path / name)
     data = bytearray(path.read_bytes())

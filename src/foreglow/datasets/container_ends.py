@@ -46,6 +46,9 @@ _ASF_PACKET = b"\x82\0\0"
 
 _ASF_DATA_START = 50  # bytes of the data object before its first packet
 
+_MXF_KEY = bytes.fromhex("060e2b34")
+_MXF_PARTITION = bytes.fromhex("060e2b34020501010d01020101")
+
 _FLV = b"FLV\x01"
 _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whether it is encrypted
 
@@ -53,7 +56,7 @@ _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whet
 def missing_bytes(path: Path) -> int:
     """Number of bytes missing at the end of `path`, by sizes in its container; more may be missing.
 
-    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, Y4M and, up to the end of the packet that was cut, MPEG-TS. 0 for a
+    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, MPEG-TS. 0 for a
     complete file, and for a container that states no size (live Matroska, raw streams).
     """
     size = path.stat().st_size
@@ -69,6 +72,8 @@ def missing_bytes(path: Path) -> int:
             end = next((stop for _, _, stop in _asf_objects(file, size) if stop > size), size)
         elif head.startswith(_Y4M):
             end = _y4m_end(file, size)
+        elif head.startswith(_MXF_KEY):
+            end = max(_mxf_footer(file), _mxf(file, size)[0])
         else:
             end = size + _missing_of_packet(file, size)
     return max(0, end - size)
@@ -77,7 +82,7 @@ def missing_bytes(path: Path) -> int:
 def hole(path: Path) -> str:
     """A line about the first damage between parts of a file, or about a second film in it; empty if there is none.
 
-    Behind the damage of Matroska, AVI, ASF/WMV and FLV the demultiplexer silently goes on, or ends.
+    Behind the damage of Matroska, AVI, ASF/WMV, MXF and FLV the demultiplexer silently goes on, or ends.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -91,6 +96,8 @@ def hole(path: Path) -> str:
             kind, what, damage = "an AVI file", "a chunk", _avi_damage(file, size)
         elif head.startswith(_ASF_HEADER[:12]):
             kind, what, damage = "an ASF file", "a packet", _asf_damage(file, size)
+        elif head.startswith(_MXF_KEY):
+            kind, what, damage = "an MXF file", "a key", _mxf(file, size)[1]
         elif head.startswith(_FLV):
             kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
         else:
@@ -281,6 +288,40 @@ def _asf_damage(file: BinaryIO, size: int) -> int | None:
                         break
                     return position
     return None
+
+
+def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None]:
+    """End of an MXF file's last part, and the first byte at which a part lacks its key.
+
+    Source: SMPTE ST 336 (key, length, value) and ST 377-1.
+    """
+    position = 0
+    for _ in range(MAX_PARTS):
+        if position >= size:
+            break
+        file.seek(position)
+        header = file.read(25)
+        if not header.startswith(_MXF_KEY[: len(header)]):
+            return position, position
+        if len(header) < 17:
+            return position + 17, None
+        num_more = header[16] & 0x7F if header[16] & 0x80 else 0
+        if num_more > 8:
+            return position, position
+        length = int.from_bytes(header[17 : 17 + num_more], "big") if num_more else header[16]
+        position += 17 + num_more + length
+    return position, None
+
+
+def _mxf_footer(file: BinaryIO) -> int:
+    """Behind the beginning of the footer, by the first partition; 0 where it does not know, as of a killed recorder."""
+    file.seek(0)
+    header = file.read(256)
+    if not header.startswith(_MXF_PARTITION):
+        return 0
+    start = 17 + (header[16] & 0x7F if header[16] & 0x80 else 0)
+    footer = int.from_bytes(header[start + 24 : start + 32], "big")
+    return footer + len(_MXF_KEY) if footer else 0
 
 
 def _flv_damage(file: BinaryIO) -> int | None:
