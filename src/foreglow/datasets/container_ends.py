@@ -56,8 +56,8 @@ _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whet
 def missing_bytes(path: Path) -> int:
     """Number of bytes missing at the end of `path`, by sizes in its container; more may be missing.
 
-    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, MPEG-TS. 0 for a
-    complete file, and for a container that states no size (live Matroska, raw streams).
+    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, MPEG-TS. 0
+    for a complete file, and for a container that states no size (live Matroska, raw streams).
     """
     size = path.stat().st_size
     with path.open("rb") as file:
