@@ -263,7 +263,10 @@ class WorkerOptions:
 
 def size_from(text: str) -> tuple[int, int]:
     """Width and height from a text such as 1280x960."""
+    from foreglow.datasets.images import MAX_SIDE_PX  # only here: the help comes without NumPy
+
     width, _, height = text.partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"size: expected WIDTHxHEIGHT such as 1280x960, got {text!r}")
+    if not all(side.isdecimal() and len(side) < 6 and 1 <= int(side) <= MAX_SIDE_PX for side in (width, height)):
+        expected = f"WIDTHxHEIGHT such as 1280x960, of at most {MAX_SIDE_PX} px a side"
+        raise ValueError(f"size: expected {expected}, got {text[:40]!r}")
     return int(width), int(height)

@@ -454,3 +454,8 @@ def test_a_damaged_stream_goes_on_with_marked_frames(tmp_path: Path) -> None:
     is_damaged = [frame.is_damaged for frame in frames]
     assert any(is_damaged)
     assert not is_damaged[-1]
+
+
+def test_a_scheme_in_capitals_is_opened_all_the_same() -> None:
+    with served(*[mpeg_stream(12)] * 20) as camera:
+        assert next(iter(open_live(camera.name.replace("tcp://", "TCP://"), CameraOptions()))).timestamp_ns > 0

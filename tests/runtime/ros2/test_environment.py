@@ -16,7 +16,7 @@ from foreglow.runtime.ros2.environment import (
     PROFILES,
     prepare,
 )
-from foreglow.runtime.ros2.supervisor import Process
+from foreglow.runtime.ros2.supervisor import Process, supervise
 
 
 @pytest.mark.parametrize("variable", PROFILES)
@@ -82,3 +82,16 @@ def test_a_process_that_is_started_again_has_another_number(monkeypatch: pytest.
     assert all(environment["KNOWN"] == "1" for environment in environments)
     for environment in environments:
         prepare(environment=environment)
+
+
+@pytest.mark.parametrize("code", [0, 2, -9])
+def test_what_ended_a_network_with_its_source(monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    class Ended:
+        def __init__(self, *_: object, **__: object) -> None:
+            self.poll = lambda: code
+            self.wait = lambda _: code
+
+    monkeypatch.setattr(subprocess, "Popen", Ended)
+    said: list[str] = []
+    assert supervise({}, ["source"], lambda: False, said.append, lambda _: None) == (137 if code == -9 else code)
+    assert said == (["source was ended by signal 9, and the network with it"] if code == -9 else [])

@@ -175,7 +175,8 @@ class StreamCamera(LiveCamera):
     def __iter__(self) -> Iterator[Frame]:
         options = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay", **CODEC_OPTIONS}
         try:
-            container: Any = av.open(self.name, options=options, timeout=(OPEN_S, READ_S))
+            scheme, colon, rest = self.name.partition(":")  # of which FFmpeg knows no capitals
+            container: Any = av.open(scheme.lower() + colon + rest, options=options, timeout=(OPEN_S, READ_S))
         except (FFmpegError, ValueError) as error:
             raise OSError(f"{self.name}: cannot be opened: {_reason(error, OPEN_S)}") from error
         with closing(container):

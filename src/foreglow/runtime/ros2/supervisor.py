@@ -98,7 +98,9 @@ def supervise(
     try:
         while not should_stop():
             if (code := player.popen.poll()) is not None:
-                return code
+                if code < 0:
+                    say(f"{player.name} was ended by signal {-code}, and the network with it")
+                return code if code >= 0 else 128 - code
             for process in processes:
                 code = process.update()
                 if code == BAD_INPUT:

@@ -200,6 +200,19 @@ def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[
     assert journal.read_bytes() == before
 
 
+@pytest.mark.parametrize("code", [5, 8])
+def test_a_record_of_a_trial_that_is_lost_is_told(data: Path, tmp_path: Path, code: int) -> None:
+    """One with a parameter, or with an attribute such as its measurement."""
+    searched(data, tmp_path, 3)
+    journal = tmp_path / "study.journal"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    of_kind = [line for line in lines if json.loads(line)["op_code"] == code and (code == 5 or b"measurement" in line)]
+    kept = [line for line in lines if line != of_kind[-1]]
+    journal.write_bytes(b"".join(kept))
+    with pytest.raises(ValueError, match=r"study\.journal: trial \d: expected all its parameters and its measurement"):
+        searched(data, tmp_path, 5)
+
+
 def test_a_record_that_optuna_cannot_read(tmp_path: Path) -> None:
     journal = tmp_path / "study.journal"
     plan = StudyPlan(str(journal), "name", TuningSettings())

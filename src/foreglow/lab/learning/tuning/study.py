@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
+import math
 import os
 import socket
 import sqlite3
@@ -231,7 +232,7 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
     """Marks trials whose process is gone as failed, and lets a new study begin with the paper's parameters.
 
     Raises:
-        ValueError: If the study was begun with another seed.
+        ValueError: If the study was begun with another seed, or a finished trial lacks a part.
     """
     from optuna.trial import TrialState
 
@@ -241,6 +242,13 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
             f"{plan.storage}: seed: expected that of the search begun here, {begun}, got {seed}; choose another folder "
             "or storage"
         )
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+        is_measured = "measurement" in trial.user_attrs and trial.value is not None and math.isfinite(trial.value)
+        if not is_measured or not plan.settings.searched.first.keys() <= trial.params.keys():
+            raise ValueError(
+                f"{plan.storage}: trial {trial.number}: expected all its parameters and its measurement, a record is "
+                f"missing or in another place; {_WAYS_OUT}"
+            )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not _is_alive(trial):
             study.tell(trial.number, state=TrialState.FAIL)

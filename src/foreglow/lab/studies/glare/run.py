@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import json
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from pydantic import Field
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_config
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.simulated.files import sequence_name
-from foreglow.files import read_plain_json, write_json_results
+from foreglow.files import read_plain_json, to_json, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
 from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
@@ -224,7 +225,7 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
 
     drive, sightings = drives.driven(named.scene, named.name, frames())
     write_glare_drive(_drive_file(folder, named.name), drive)
-    write_json_results(_sightings_file(folder, named.name), sightings)
+    keep_sightings(_sightings_file(folder, named.name), sightings)
 
 
 def _drive_file(folder: Path, name: str) -> Path:
@@ -233,6 +234,30 @@ def _drive_file(folder: Path, name: str) -> Path:
 
 def _sightings_file(folder: Path, name: str) -> Path:
     return folder / DRIVES / f"{name}.json"
+
+
+def keep_sightings(path: Path, sightings: Sequence[Sighting]) -> None:
+    """Writes what was expected of a drive's hidden vehicles, with a checksum."""
+    rows = to_json(list(sightings))
+    write_json_results(path, {"sightings": rows, "checksum": _checksum(rows)})
+
+
+def kept_sightings(path: Path) -> list[Sighting]:
+    """What `keep_sightings` has written.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not as it was written.
+    """
+    kept = read_plain_json(path)
+    rows = kept.get("sightings") if isinstance(kept, dict) else None
+    if not isinstance(rows, list) or kept.get("checksum") != _checksum(rows):
+        raise ValueError(f"{path}: expected a drive's whole file, found it damaged; remove it to drive the scene again")
+    return [Sighting.from_json(row) for row in rows]
+
+
+def _checksum(rows: Sequence[Any]) -> int:
+    return zlib.crc32(json.dumps(rows).encode())
 
 
 def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str) -> GlareExperiment:
@@ -253,7 +278,5 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: st
         )
         for found in scored
     )
-    sightings = [
-        Sighting.from_json(row) for named in wanted for row in read_plain_json(_sightings_file(folder, named.name))
-    ]
+    sightings = [sighting for named in wanted for sighting in kept_sightings(_sightings_file(folder, named.name))]
     return GlareExperiment(results, (r123,), lead_scores(sightings), folder)
