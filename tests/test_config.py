@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -242,3 +244,31 @@ def test_a_model_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_byte_order_mark_is_no_content() -> None:
     """Some editors put it first."""
     assert read_text("\ufeff[proposals]\ngap_px = 7") == read_text("[proposals]\ngap_px = 7")
+
+
+@pytest.mark.parametrize(
+    ("section", "fields"),
+    [
+        ("guard", {"max_gap_s": math.nan}),
+        ("guard", {"max_same_images": math.nan}),
+        ("guard", {"low_below_mps": -1.0}),
+        ("guard", {"max_gap": 0.1}),
+        ("guard", {"low_below_mps": 30.0}),  # above high_above_mps
+        ("tracker", {"rate_hz": "18"}),
+        ("classifier", {"score_threshold": math.inf}),
+    ],
+)
+def test_what_is_changed_in_python_is_checked_too(section: str, fields: dict[str, Any]) -> None:
+    config = preset("foreglow")
+    with pytest.raises(ValueError, match=next(iter(fields))):
+        getattr(config, section).model_copy(update=fields)
+    with pytest.raises(ValueError, match=next(iter(fields))):
+        config.changed(section, **fields)
+
+
+def test_a_section_that_there_is_not() -> None:
+    with pytest.raises(ValueError, match="gaurd"):
+        preset("foreglow").model_copy(update={"gaurd": GuardConfig()})
+    config = preset("foreglow").model_copy(update={"guard": GuardConfig(max_gap_s=0.5)})
+    assert config.guard.max_gap_s == 0.5
+    assert config.model_copy() == config

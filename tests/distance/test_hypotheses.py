@@ -186,6 +186,12 @@ def test_a_models_errors_name_file_and_field(tmp_path: Path) -> None:
     path.write_text('[[kinds]]\nname = "lamp"\noffset_sigma_m = 0.0\nheight_sigma_m = 0.1\n')
     with pytest.raises(ValueError, match=r"model\.toml: kinds\.0\.offset_sigma_m"):
         read_hypotheses(path)
+    for field in ("offset_sigma_m", "height_sigma_m", "height_m", "log_range", "log_share", "size_slope", "pair_logit"):
+        usual = {"offset_sigma_m": 0.5, "height_sigma_m": 0.1} | {field: 1e4}
+        lines = [f"{name} = {value}" for name, value in usual.items()]
+        path.write_text('[[kinds]]\nname = "lamp"\n' + "\n".join(lines))
+        with pytest.raises(ValueError, match=rf"model\.toml: kinds\.0\.{field}"):
+            read_hypotheses(path)
     path.write_text("kinds = []\n")
     with pytest.raises(ValueError, match=r"model\.toml: kinds"):
         read_hypotheses(path)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any, TypeVar
+from collections.abc import Iterator, Mapping
+from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
@@ -33,6 +33,17 @@ class FrozenModel(BaseModel):
 
     # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """As pydantic's, but what is changed is checked as where the model is made.
+
+        Raises:
+            ValueError: If a field is unknown or its value is not allowed, also beside the others.
+        """
+        if update:
+            whole = type(self).model_validate(dict(self) | dict(update))
+            update = {name: getattr(whole, name) for name in update}
+        return super().model_copy(update=update, deep=deep)
 
     @field_validator("*")
     @classmethod

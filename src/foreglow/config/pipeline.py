@@ -41,7 +41,11 @@ class PipelineConfig(FrozenModel):
         return self.changed("distance", estimator="none").changed("tracker", method="none")
 
     def changed(self, section: str, **fields: Any) -> PipelineConfig:
-        """This configuration with other values for some fields of a section; the values are not checked."""
+        """This configuration with other values for some fields of a section.
+
+        Raises:
+            ValueError: If there is no such field, or a value is not allowed.
+        """
         return self.model_copy(update={section: getattr(self, section).model_copy(update=fields)})
 
     def commanding(self, **beam: Any) -> PipelineConfig:

@@ -104,8 +104,16 @@ LOG_CELLS = np.log(CELLS_M / (PLACES_M - 2.0))
 
 _PLACES, _CELL_SIGMAS, _LOG_CELLS = PLACES_M[:, None], CELL_SIGMAS_M[:, None], LOG_CELLS[:, None]
 
-_Three: TypeAlias = Annotated[tuple[float, float, float], Field(strict=False)]
-_Two: TypeAlias = Annotated[tuple[float, float], Field(strict=False)]
+_Shifted: TypeAlias = Annotated[float, Field(ge=-20, le=20)]
+"""A log, log odds, a slope or a scaled feature: far beyond what is ever fitted, and not yet what overflows."""
+
+_Metres: TypeAlias = Annotated[float, Field(ge=-100, le=100)]
+_SigmaMetres: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
+_Share: TypeAlias = Annotated[float, Field(ge=1e-6, le=100)]
+_Three: TypeAlias = Annotated[tuple[_Shifted, _Shifted, _Shifted], Field(strict=False)]
+_Shares: TypeAlias = Annotated[tuple[_Share, _Share, _Share], Field(strict=False)]
+_TwoShares: TypeAlias = Annotated[tuple[_Share, _Share], Field(strict=False)]
+_Two: TypeAlias = Annotated[tuple[_Shifted, _Shifted], Field(strict=False)]
 
 
 class Kind(FrozenModel):
@@ -129,17 +137,17 @@ class Kind(FrozenModel):
 
     name: str
     side: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    offset_m: float = 0.0
-    height_m: float = 0.0
-    offset_sigma_m: Annotated[float, Field(gt=0)]
-    height_sigma_m: Annotated[float, Field(gt=0)]
+    offset_m: _Metres = 0.0
+    height_m: _Metres = 0.0
+    offset_sigma_m: _SigmaMetres
+    height_sigma_m: _SigmaMetres
     is_lamp: bool = False
     is_anywhere: bool = False
-    log_share: float = 0.0
-    log_range: float = 4.0
+    log_share: _Shifted = 0.0
+    log_range: _Shifted = 4.0
     features: _Three = (0.0, 0.0, 0.0)
-    size_slope: float = 0.0
-    pair_logit: float = 0.0
+    size_slope: _Shifted = 0.0
+    pair_logit: _Shifted = 0.0
 
 
 class Hypotheses(FrozenModel):
@@ -158,13 +166,13 @@ class Hypotheses(FrozenModel):
     """
 
     origin: str = ""
-    range_log_sigma: Annotated[float, Field(gt=0)] = 0.9
+    range_log_sigma: _Share = 0.9
     feature_slopes: _Two = (0.0, 0.0)
-    feature_sigmas: _Three = (1.0, 1.0, 1.0)
-    pixel_sigma_rad: Annotated[float, Field(gt=0)] = 0.0015
-    slope_sigma: Annotated[float, Field(gt=0)] = 0.0012
-    box_shares: _Two = (0.14, 0.14)
-    sigma_scale: Annotated[float, Field(gt=0)] = 1.0
+    feature_sigmas: _Shares = (1.0, 1.0, 1.0)
+    pixel_sigma_rad: _Share = 0.0015
+    slope_sigma: _Share = 0.0012
+    box_shares: _TwoShares = (0.14, 0.14)
+    sigma_scale: _Share = 1.0
     kinds: Annotated[tuple[Kind, ...], Field(strict=False, min_length=1)]
 
 

@@ -243,7 +243,7 @@ def with_pace(pair: str, unit: str) -> str:
             ("mph", 0.44704),
             ("knots", 0.514444),
         ),
-        *(("", 1.0), ("Unit_KiloMeterPerHour", 1 / 3.6)),
+        *(("", 1.0), ("Unit_KiloMeterPerHour", 1 / 3.6), ("cm/s", 0.01)),
     ],
 )
 def test_without_a_factor_the_unit_of_the_dbc_counts(tmp_path: Path, unit: str, factor: float) -> None:

@@ -14,8 +14,24 @@ if TYPE_CHECKING:
 
 FACTORS = MappingProxyType(
     {
-        "speed": {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704, "kn": 1852 / 3600},
-        "yaw_rate": {"rad/s": 1.0, "deg/s": math.pi / 180},
+        "speed": {
+            "m/s": 1.0,
+            "km/h": 1 / 3.6,
+            "mph": 0.44704,
+            "kn": 1852 / 3600,
+            "cm/s": 0.01,
+            "mm/s": 0.001,
+            "m/min": 1 / 60,
+            "m/h": 1 / 3600,
+            "ft/s": 0.3048,
+        },
+        "yaw_rate": {
+            "rad/s": 1.0,
+            "mrad/s": 0.001,
+            "deg/s": math.pi / 180,
+            "deg/min": math.pi / 10800,
+            "rpm": math.pi / 30,
+        },
     }
 )
 """From a unit to ours, by quantity."""

@@ -9,7 +9,7 @@ import math
 import os
 import socket
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -243,11 +243,10 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
             "or storage"
         )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
-        is_measured = "measurement" in trial.user_attrs and trial.value is not None and math.isfinite(trial.value)
-        if not is_measured or not plan.settings.searched.first.keys() <= trial.params.keys():
+        if not _is_measured(trial, plan.settings.searched):
             raise ValueError(
                 f"{plan.storage}: trial {trial.number}: expected all its parameters and its measurement, a record is "
-                f"missing or in another place; {_WAYS_OUT}"
+                f"missing, wrong or in another place; {_WAYS_OUT}"
             )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not _is_alive(trial):
@@ -255,6 +254,18 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
     if not study.get_trials(deepcopy=False):
         study.set_user_attr(_SEED, seed)
         study.enqueue_trial(dict(plan.settings.searched.first))
+
+
+def _is_measured(trial: FrozenTrial, searched: Space) -> bool:
+    """Whether a finished trial has what is read of it later: parameters that can be, a loss, and its measurement."""
+    values: Sequence[float] = trial.values or []
+    if "measurement" not in trial.user_attrs or len(values) != 1 or not math.isfinite(values[0]):
+        return False
+    try:
+        searched.config(trial.params)
+    except (KeyError, TypeError, ValueError):
+        return False
+    return searched.first.keys() <= trial.params.keys()
 
 
 def work(plan: StudyPlan, material: Material, is_stopped: Callable[[], bool], report: Callable[[], None]) -> None:

@@ -137,6 +137,7 @@ def run_experiment(
     """
     config = plan.delays.known_to(config)
     wanted = named_scenes(scenes, plan)
+    _check_rates(wanted, config)
     plan.drives(config).cars()  # what is wrong with one is known before there is a folder
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
     _claim(folder, config, plan, wanted)
@@ -167,6 +168,20 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
     named = [NamedScene(sequence_name(number), scene) for number, scene in found]
     empty = [NamedScene(f"{whole.name}-empty", without_traffic(whole.scene)) for whole in named[: plan.num_empty]]
     return named + empty
+
+
+def _check_rates(wanted: Sequence[NamedScene], config: PipelineConfig) -> None:
+    """Checks that no scene is so slow that our guard, for which frames are missing then, never gives light.
+
+    Raises:
+        ValueError: If one is.
+    """
+    for named in wanted:
+        if named.scene.rate_hz * config.guard.max_gap_s < 1.0:
+            raise ValueError(
+                f"{named.name}: rate_hz: expected at least {1.0 / config.guard.max_gap_s:g}, as the guard takes longer "
+                f"intervals for missing frames, got {named.scene.rate_hz:g}"
+            )
 
 
 class _Claimed(Record):
