@@ -281,9 +281,11 @@ def raise_it(*_, kill=os.kill, own=os.getpid(), number=NUMBER):
 
 
 def late(raise_it):
-    import time
+    import threading, time
 
-    time.sleep(1)
+    while threading.main_thread().is_alive():
+        time.sleep(0.02)
+    time.sleep(0.2)
     raise_it()
 """
 

@@ -25,6 +25,9 @@ def contents(path: Path) -> dict[str, str]:
     return {entry.name: entry.read_text() for entry in path.iterdir() if entry.name not in DESCRIPTION}
 
 
+OLD = '{"frame":0,"sequence":"","timestamp_ns":0}\n'
+
+
 def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
     folder = OutputFolder(tmp_path)
     folder.write_text("beam.log", "new")
@@ -36,19 +39,19 @@ def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
 
 
 def test_results_that_somebody_removed_are_not_published(tmp_path: Path) -> None:
-    for name in ("frames.jsonl", "config.toml"):
-        (tmp_path / name).write_text("old")
+    (tmp_path / "frames.jsonl").write_text(OLD)
+    (tmp_path / "config.toml").write_text("old")
     folder = OutputFolder(tmp_path)
     folder.partial("frames.jsonl").unlink()
     with pytest.raises(FileNotFoundError, match=r"frames\.jsonl: expected what was written so far, it was removed"):
         folder.publish(REFERENCE, SUMMARY)
     folder.discard()
-    assert contents(tmp_path) == {"frames.jsonl": "old"}
+    assert contents(tmp_path) == {"frames.jsonl": OLD}
 
 
 def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path: Path) -> None:
     for name in (*RESULT_NAMES, "notes.txt"):
-        (tmp_path / name).write_text("old")
+        (tmp_path / name).write_text(OLD if name == "frames.jsonl" else "old")
     folder = OutputFolder(tmp_path)
     folder.partial("frames.jsonl").write_text("new")
     folder.publish(REFERENCE, SUMMARY)
