@@ -58,7 +58,8 @@ def read_opendrive(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, a road has
-            gaps or steps, a driving lane has borders in place of widths, or there is no road; the message names path and road.
+            gaps or steps, a driving lane has borders in place of widths, or there is no road; the message names path
+            and road.
     """
     roads, count = read_xml(path, "OpenDRIVE").findall("road"), PointCount()
     lines = [line for road in roads if (line := _line(road, count, f"{path}: road {road.get('id')}")) is not None]

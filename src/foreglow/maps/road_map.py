@@ -79,7 +79,7 @@ class RoadMap:
         return "height" if self._feet(pose, knows_height=False) else None
 
     def _feet(self, pose: Pose, *, knows_height: bool, knows_heading: bool = True) -> list[tuple[Foot, int]]:
-        """The nearest points of the roads that a vehicle may drive on, with the roads' numbers; as `CentreLine.foot`."""
+        """The nearest points of the roads that a vehicle drives on, with the roads' numbers; as `CentreLine.foot`."""
         near = np.flatnonzero(self._distances_to_boxes_m(pose.position_m[:2]) <= MAX_OFFSET_M)
         feet = (
             (self.lines[k].foot(pose, knows_height=knows_height, knows_heading=knows_heading), int(k)) for k in near

@@ -221,7 +221,7 @@ def test_attributes_of_other_names_are_counted(tmp_path: Path) -> None:
         """<annotations><image id="0" name="a.png" width="96" height="72">
         <points label="light" points="70,60"><attribute name="Rear">true</attribute>
         <attribute name="vehicle">5</attribute><attribute name="note"></attribute></points>
-        <points label="light" points="30,60" source="manual" z_order="0"><attribute name="vehicle">6</attribute></points>
+        <points label="light" points="30,60" z_order="0"><attribute name="vehicle">6</attribute></points>
         </image></annotations>"""
     )
     assert read_labels_file(path).lost == {"attribute 'vehicle'": 2, "attribute 'Rear'": 1}
