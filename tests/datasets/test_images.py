@@ -303,6 +303,30 @@ def test_several_images_in_a_file(tmp_path: Path) -> None:
             read_image(tmp_path / f"pages{suffix}")
 
 
+GIF_HEAD = b"GIF89a" + struct.pack("<HHBBB", 2, 1, 0x80, 0, 0) + bytes(3) + b"\xff\xff\xff"
+GIF_IMAGE = b"\x21\xf9\x04\0\x0a\0\0\0" + b"," + struct.pack("<HHHHB", 0, 0, 2, 1, 0) + b"\x02\x02\x44\x0a\0"
+GIF_OWN_COLOURS = b"," + struct.pack("<HHHHB", 0, 0, 2, 1, 0x80) + bytes(6) + b"\x02\x02\x44\x0a\0"
+
+
+@pytest.mark.parametrize(
+    ("images", "expected"),
+    [
+        (2 * GIF_IMAGE, "expected one image, got several in one file"),
+        (GIF_OWN_COLOURS + GIF_IMAGE, "expected one image, got several in one file"),
+        (GIF_IMAGE, r"expected an image \(PNG, .*\), is a GIF; convert it first$"),
+        (GIF_IMAGE[:-4], "is a GIF; convert it first$"),
+        (b"", "is a GIF; convert it first$"),
+    ],
+    ids=["animation", "own colours", "still", "cut", "empty"],
+)
+def test_a_gif_is_told(tmp_path: Path, images: bytes, expected: str) -> None:
+    """An animation was called damaged."""
+    for name in ("a.gif", "a.png"):
+        (tmp_path / name).write_bytes(GIF_HEAD + images + b";")
+        with pytest.raises(ValueError, match=rf"{name}: .*{expected}"):
+            read_image(tmp_path / name)
+
+
 def test_a_tiff_with_a_smaller_copy_of_itself(tmp_path: Path) -> None:
     """The second page of the file says that it is one."""
     cv2.imwritemulti(str(tmp_path / "copy.tif"), [SMOOTH, SMOOTH[:64, :64]])

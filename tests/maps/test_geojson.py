@@ -81,6 +81,11 @@ def test_other_outermost_objects(tmp_path: Path, document: Any) -> None:
         ([line(PLACES, width=10**400)], "feature 0: width: expected a number .*, got 1000"),
         ([line(PLACES, width=True)], "feature 0: width: expected a number .*, got True$"),
         ([line([[9.0, 48.0, 1e11], [9.1, 48.0, 3.0]])], "feature 0: coordinates: height: expected up to 10000 m"),
+        (
+            [line(PLACES), line([PLACES[0], [9.0005, 48.0, -9999], *PLACES[1:]])],
+            r"feature 1: coordinates: expected heights that differ by .*, got 400 m and -9999 m of points 0 and 1$",
+        ),
+        ([line([*PLACES, [9.002, 48.0006, 0]])], "feature 0: coordinates: .*, got 402 m and 0 m of points 2 and 3$"),
         ([line([[9.0, 48.0], [9.1, 10**400]])], r"feature 0: coordinates: expected a list of \[longitude"),
         ([line([[9.0, 48.0], [9.0, 48.0]])], "feature 0: coordinates: expected points that differ"),
         ([7], "feature 0: expected a GeoJSON object, got int"),

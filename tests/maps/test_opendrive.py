@@ -161,6 +161,14 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
             road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="1e4")),
             "road 7: lanes: expected a width above 0 and up to 200 m, got 10003",
         ),
+        (
+            road(
+                geometry(0, 0, 0, 0, 40, "<line/>"),
+                40,
+                '<elevationProfile><elevation s="0" a="411"/><elevation s="20" a="0"/></elevationProfile>',
+            ),
+            "road 7: elevation: expected a road without steps, got 411 m and then 0 m near s = 19 m",
+        ),
         (road(geometry(0, "1e11", 0, 0, 40, "<line/>"), 40), r"road 7: x, y: expected up to 1e\+08 m"),
         (road(geometry(0, 0, 0, 0, 40, "<line/>"), "long"), "road 7: <road> length: .* got 'long'"),
         (road(geometry(0, 0, 0, 0, 40, "<line/>"), -40), "road 7: length: expected at least 0 m, got -40"),

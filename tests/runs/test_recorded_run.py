@@ -151,6 +151,24 @@ def test_frames_that_were_not_copied_are_missed(tmp_path: Path) -> None:
         read_run(tmp_path / "run")
 
 
+def test_frames_of_another_run_are_told(tmp_path: Path) -> None:
+    """As long as the run itself, with the summary of the other one."""
+    frame, fewer = made_up(2)
+    detections = result_of(frame, [(10, 10, 20, 20), (30, 10, 40, 20)], [0.25, 0.125]).detections
+    others = {
+        "3 proposals": (frame, dataclasses.replace(result_of(frame, [(1, 2, 3, 4)], [0.75]), beam=fewer.beam)),
+        "1 accepted boxes": (frame, dataclasses.replace(fewer, detections=detections)),
+        "1 frames with low beam": made_up(2, faults=("camera_dark",)),
+    }
+    run = write_run(tmp_path / "run", [made_up(1), made_up(2)])
+    for name, other in others.items():
+        num_accepted = 1 if name == "1 accepted boxes" else 2
+        summary = write_run(tmp_path / name, [made_up(1), other], num_accepted=num_accepted) / "summary.json"
+        shutil.copy(summary, run)
+        with pytest.raises(ValueError, match=rf"run/frames\.jsonl: expected the {name} of summary\.json, got \d$"):
+            read_run(run)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [("frame", 2**63), ("frame", -(10**30)), ("timestamp_ns", 10**400), ("tracks", 2**70)],

@@ -125,7 +125,7 @@ def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int
     from foreglow.runtime.run import Replay
 
     results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)
-    check_frames(run, read_summary(run / "summary.json"), len(results))
+    check_frames(run, read_summary(run / "summary.json"), results.values())
     return Replay(configuration, results, str(run)), source_of_run(run), len(results)
 
 

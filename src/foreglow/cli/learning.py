@@ -39,6 +39,7 @@ def annotate(
     import rich
 
     from foreglow.display.progress import StepProgress
+    from foreglow.display.summary_lines import counted
     from foreglow.files import check_each_once, write_json_results
     from foreglow.lab.learning.annotation import annotate_split, splits_to_annotate
 
@@ -54,6 +55,10 @@ def annotate(
         numbers = {annotation.root.name: annotation.to_json() for annotation in annotations}
         write_json_results(json_file, numbers, indent=2)
     rich.print(_annotation_table(annotations, preset if config is None else f"{preset} with {config}"))
+    for each in annotations:
+        if each.num_outside:
+            points = counted(each.num_outside, "key point")
+            typer.echo(f"{each.root}: outside the image, so that no box holds them: {points}")
 
 
 def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Table:

@@ -37,6 +37,10 @@ ONE_IMAGE = "expected one image, got several in one file; a video or a folder of
 
 _WEBP_ANIMATION = 0x02
 
+GIF_SIGNATURES = (b"GIF87a", b"GIF89a")
+_GIF_TABLE, _GIF_TABLE_SIZE = 0x80, 0x07  # bits: whether a table of colours follows, and of how many
+_GIF_EXTENSION, _GIF_IMAGE = 0x21, 0x2C
+
 _JPEG_END = b"\xff\xd9"
 _JPEG_SCAN = 0xDA
 _JPEG_PADDING = re.compile(r"Corrupt JPEG data: [1-4] extraneous bytes before marker 0xd9")
@@ -155,7 +159,7 @@ def _damage(data: bytes) -> str:
 
 
 def size_px(data: bytes) -> tuple[int, int] | None:
-    """Height and width by the header of a PNG, JPEG, TIFF, BMP, PNM or WebP; None for another format.
+    """Height and width by the header of a PNG, JPEG, TIFF, BMP, PNM or WebP; None for another format, such as a GIF.
 
     Raises:
         ValueError: If the header cannot be followed; the message says only what is wrong.
@@ -174,6 +178,8 @@ def size_px(data: bytes) -> tuple[int, int] | None:
             return _webp_size_px(data)
     except (struct.error, IndexError):
         raise ValueError("truncated or damaged, its header ends early") from None
+    if data.startswith(GIF_SIGNATURES) and _has_gif_frames(data):
+        raise ValueError(ONE_IMAGE)
     if found := _PNM.match(data):
         return int(found[2]), int(found[1])
     return None
@@ -235,6 +241,30 @@ def _tiff_pages(data: bytes, order: str, is_big: bool, offset: int) -> Iterator[
         (offset,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, offset + head + step * num)
         if not offset:
             return
+
+
+def _has_gif_frames(data: bytes) -> bool:
+    """Whether a GIF has a second image, as far as it is whole.
+
+    Source: GIF89a, sections 15 to 26.
+    """
+    num_images, position = 0, 13 + _gif_table_bytes(data[10:11])
+    while position < len(data) and data[position] in (_GIF_EXTENSION, _GIF_IMAGE):
+        is_image = data[position] == _GIF_IMAGE
+        num_images += is_image
+        if num_images > 1:
+            return True
+        position += 11 + _gif_table_bytes(data[position + 9 : position + 10]) if is_image else 2
+        while position < len(data) and data[position]:  # parts of up to 255 bytes
+            position += 1 + data[position]
+        position += 1
+    return False
+
+
+def _gif_table_bytes(flags: bytes) -> int:
+    """Bytes of the table of colours that follows, by a byte of flags."""
+    has_table = bool(flags) and bool(flags[0] & _GIF_TABLE)
+    return 3 << ((flags[0] & _GIF_TABLE_SIZE) + 1) if has_table else 0
 
 
 def _webp_size_px(data: bytes) -> tuple[int, int]:

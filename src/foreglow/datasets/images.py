@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets.image_bytes import (
+    GIF_SIGNATURES,
     JPEG_SIGNATURE,
     PNG_END,
     PNG_SIGNATURE,
@@ -263,6 +264,8 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
         raise ValueError(f"{origin}: {error}") from None
     if data[4:8] == b"ftyp" and data[8:12] in BRANDS_OF_PHONES:
         raise ValueError(f"{origin}: expected an image ({known_formats()}), is HEIC or AVIF; convert it first")
+    if data.startswith(GIF_SIGNATURES):
+        raise ValueError(f"{origin}: expected an image ({known_formats()}), is a GIF; convert it first")
     if size is None:
         raise ValueError(none)
     try:

@@ -37,6 +37,10 @@ MAX_COORDINATE_M = 1e8
 MAX_HEIGHT_M = 10_000.0
 """The largest height of a road, above or below zero."""
 
+MAX_STEP_M = 5.0
+"""Points that follow each other differ in height by at most their distance and this: a missing height may be written as
+0 or -9999."""
+
 _AXLES_M = 1.4
 """Half the distance between the axles, between which the slope under the vehicle is measured."""
 
@@ -108,12 +112,13 @@ class CentreLine:
         """Points, shape (..., 3), at distances along the line, shape (...); beyond an end, that end."""
         return np.stack([np.interp(ways_m, self.ways_m, values) for values in self.points_m.T], -1)
 
-    def foot(self, pose: Pose, *, knows_height: bool = True) -> Foot | None:
+    def foot(self, pose: Pose, *, knows_height: bool = True, knows_heading: bool = True) -> Foot | None:
         """The nearest point of the road to a vehicle that drives on it; None if it does not.
 
         Args:
             pose: map_from_vehicle.
             knows_height: Whether the heights of pose and map can be compared.
+            knows_heading: Whether a road across our way is none of ours.
         """
         starts, steps = self.points_m[:-1], np.diff(self.points_m, axis=0)
         lengths_m = np.linalg.norm(steps[:, :2], axis=1)
@@ -123,7 +128,9 @@ class CentreLine:
         distances_m = np.hypot(away[:, 0], away[:, 1])
         forward = pose.rotation[:2, 0]
         along = steps[:, :2] @ forward / (lengths_m * max(float(np.hypot(*forward)), 1e-12))
-        is_ours = (np.abs(along) >= MIN_ALONG) & (distances_m <= MAX_OFFSET_M)
+        is_ours = distances_m <= MAX_OFFSET_M
+        if knows_heading:
+            is_ours &= np.abs(along) >= MIN_ALONG
         if knows_height:
             is_ours &= np.abs(away[:, 2]) <= MAX_HEIGHT_OFFSET_M
         if not is_ours.any():
@@ -217,6 +224,17 @@ def check_points(points_m: Floats, origin: str) -> None:
     if not (sizes_m[:, 2:] <= MAX_HEIGHT_M).all():
         worst_m = float(sizes_m[:, 2:].max())
         raise ValueError(f"{origin}: height: expected up to {MAX_HEIGHT_M:g} m above or below zero, got {worst_m:g}")
+
+
+def steep_step(points_m: Floats) -> int | None:
+    """Of points, shape (N, 3), the first that differs in height from the next as no road does; None if none does.
+
+    >>> steep_step(np.array([[0, 0, 411.0], [10, 0, 414], [20, 0, 0]]))
+    1
+    """
+    steps_m = np.abs(np.diff(points_m, axis=0))
+    is_steep = steps_m[:, 2] > np.hypot(steps_m[:, 0], steps_m[:, 1]) + MAX_STEP_M  # never for NaN
+    return int(is_steep.argmax()) if is_steep.any() else None
 
 
 def without_repeats(points_m: Floats) -> Floats:

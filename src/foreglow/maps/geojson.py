@@ -21,7 +21,14 @@ import numpy as np
 
 from foreglow.files import number_in, read_plain_json, shortened
 from foreglow.geometry import Floats, checked_number
-from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_points, without_repeats
+from foreglow.maps.centre_line import (
+    MAX_STEP_M,
+    MAX_WIDTH_M,
+    CentreLine,
+    check_points,
+    steep_step,
+    without_repeats,
+)
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.street import LANE_WIDTH_M
@@ -33,7 +40,8 @@ def read_geojson(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not GeoJSON, has no line, a coordinate is not a number or out of range, only some points
-            have heights, or a width is not that of a road; the message names path and feature.
+            have heights, a height is far from the one before, or a width is not that of a road; the message names path
+            and feature.
     """
     document = read_plain_json(path)
     _check_crs(document, path)
@@ -48,10 +56,16 @@ def read_geojson(path: Path) -> RoadMap:
     lines = []
     for origin, coordinates, width_m in found:
         z_m = coordinates[:, 2:] if coordinates.shape[1] == 3 else np.zeros((len(coordinates), 1))
-        points = without_repeats(np.hstack([earth.local(coordinates[:, 1], coordinates[:, 0]), z_m]))
+        given = np.hstack([earth.local(coordinates[:, 1], coordinates[:, 0]), z_m])
+        points = without_repeats(given)
         if len(points) < 2:
             raise ValueError(f"{origin}: coordinates: expected points that differ")
-        check_points(points, f"{origin}: coordinates")
+        check_points(given, f"{origin}: coordinates")
+        if (step := steep_step(given)) is not None:
+            raise ValueError(
+                f"{origin}: coordinates: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of "
+                f"the points, got {z_m[step, 0]:g} m and {z_m[step + 1, 0]:g} m of points {step} and {step + 1}"
+            )
         lines.append(CentreLine(points, width_m / 2))
     return RoadMap(lines, earth, has_heights=heights == {3})
 

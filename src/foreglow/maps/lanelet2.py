@@ -9,7 +9,6 @@ Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,17 +17,22 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, check_points, check_width, without_repeats
+from foreglow.maps.centre_line import (
+    MAX_STEP_M,
+    STEP_M,
+    CentreLine,
+    PointCount,
+    check_points,
+    check_width,
+    steep_step,
+    without_repeats,
+)
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 
 DRIVEN_SUBTYPES = frozenset({"road", "highway", "play_street"})
 SIDES = ("left", "right")
-
-MAX_STEP_M = 5.0
-"""Nodes of a border that follow each other differ in height by at most their distance and this: a missing height may be
-written as 0 or -9999."""
 
 
 def read_lanelet2(path: Path) -> RoadMap:
@@ -124,14 +128,14 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
 
 def _check_steps(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path: Path) -> None:
     """ValueError if two nodes of a border that follow each other differ in height as no road does."""
-    for before, after in itertools.pairwise(ways[way]):
-        step_m = np.abs(nodes[after] - nodes[before])
-        if step_m[2] > np.hypot(step_m[0], step_m[1]) + MAX_STEP_M:  # never for NaN
-            heights_m = f"{nodes[before][2]:g} m and {nodes[after][2]:g} m"
-            raise ValueError(
-                f"{path}: way {way}: ele: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of "
-                f"the nodes, got {heights_m} of nodes {before} and {after}"
-            )
+    step = steep_step(np.array([nodes[node] for node in ways[way]]))
+    if step is not None:
+        before, after = ways[way][step : step + 2]
+        heights_m = f"{nodes[before][2]:g} m and {nodes[after][2]:g} m"
+        raise ValueError(
+            f"{path}: way {way}: ele: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of "
+            f"the nodes, got {heights_m} of nodes {before} and {after}"
+        )
 
 
 def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[str, str]]:

@@ -16,7 +16,15 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from foreglow.geometry import Floats
-from foreglow.maps.centre_line import STEP_M, CentreLine, PointCount, check_points, check_width, without_repeats
+from foreglow.maps.centre_line import (
+    STEP_M,
+    CentreLine,
+    PointCount,
+    check_points,
+    check_width,
+    steep_step,
+    without_repeats,
+)
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 from foreglow.street import LANE_WIDTH_M
@@ -50,7 +58,8 @@ def read_opendrive(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, a road has
-            gaps, a driving lane has borders in place of widths, or there is no road; the message names path and road.
+            gaps or steps, a driving lane has borders in place of widths, or there is no road; the message names path
+            and road.
     """
     roads, count = read_xml(path, "OpenDRIVE").findall("road"), PointCount()
     lines = [line for road in roads if (line := _line(road, count, f"{path}: road {road.get('id')}")) is not None]
@@ -92,6 +101,9 @@ def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     if len(whole) < 2:
         return None
     check_points(whole[:, :3], origin)
+    if (step := steep_step(whole[:, :3])) is not None:
+        heights_m = f"{whole[step, 2]:g} m and then {whole[step + 1, 2]:g} m"
+        raise ValueError(f"{origin}: elevation: expected a road without steps, got {heights_m} near s = {step} m")
     width_m = float(np.mean(left_m - right_m))
     check_width(width_m, f"{origin}: lanes")
     return CentreLine(whole[:, :3], width_m / 2, whole[:, 3])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
 from foreglow.geometry import Floats, Pose
-from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine
+from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine, Foot
 from foreglow.maps.geographic import GeographicOrigin
 from foreglow.types import RoadAhead
 
@@ -59,8 +60,7 @@ class RoadMap:
         The width is that of the nearest road. Arguments and None are as in `CentreLine.ahead`.
         """
         is_level = is_on_road or not self.has_heights
-        near = np.flatnonzero(self._distances_to_boxes_m(pose.position_m[:2]) <= MAX_OFFSET_M)
-        feet = [(foot, int(k)) for k in near if (foot := self.lines[k].foot(pose, knows_height=not is_level))]
+        feet = self._feet(pose, knows_height=not is_level)
         if not feet:
             return None
         foot, number = min(feet, key=lambda candidate: candidate[0].distance_m)
@@ -68,6 +68,23 @@ class RoadMap:
         left_m = foot.way_m if foot.is_against else line.length_m - foot.way_m
         joined = self._joined(number, foot.is_against, length_m - left_m)
         return joined.ahead(pose, length_m, error_bound_m, is_on_road=is_level)
+
+    def hindrance(self, pose: Pose, *, is_on_road: bool = False) -> Literal["heading", "height"] | None:
+        """What keeps a vehicle off the roads that are near; None if none is near, or it drives on one."""
+        knows_height = self.has_heights and not is_on_road
+        if self._feet(pose, knows_height=knows_height):
+            return None
+        if self._feet(pose, knows_height=knows_height, knows_heading=False):
+            return "heading"
+        return "height" if self._feet(pose, knows_height=False) else None
+
+    def _feet(self, pose: Pose, *, knows_height: bool, knows_heading: bool = True) -> list[tuple[Foot, int]]:
+        """The nearest points of the roads that a vehicle drives on, with the roads' numbers; as `CentreLine.foot`."""
+        near = np.flatnonzero(self._distances_to_boxes_m(pose.position_m[:2]) <= MAX_OFFSET_M)
+        feet = (
+            (self.lines[k].foot(pose, knows_height=knows_height, knows_heading=knows_heading), int(k)) for k in near
+        )
+        return [(foot, number) for foot, number in feet if foot is not None]
 
     def distance_m(self, position_m: Floats) -> float:
         """Rough horizontal distance of a position, shape (2,) or (3,), from the nearest line; for messages."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -23,7 +24,7 @@ from foreglow.runs.frames_file import line_to_result, read_frame_lines
 from foreglow.runs.origin import digests_of, origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
-from foreglow.types import Frame, FrameResult, TrackState
+from foreglow.types import BeamMode, Frame, FrameResult, TrackState
 from foreglow.whole_files import atomic_path, write_atomic
 
 if TYPE_CHECKING:
@@ -201,7 +202,7 @@ def read_run(folder: Path | str) -> RecordedRun:
 
     sequences: dict[str, list[FrameResult]] = {}
     lines = read_frame_lines(frames, convert)
-    check_frames(folder, summary, len(lines))
+    check_frames(folder, summary, [result for _, result in lines.values()])
     lack = lack_of_run(folder)
     if lack is not None:
         warnings.warn(lack, stacklevel=2)
@@ -210,15 +211,27 @@ def read_run(folder: Path | str) -> RecordedRun:
     return RecordedRun(folder, summary, config, {name: tuple(results) for name, results in sequences.items()})
 
 
-def check_frames(folder: Path, summary: SummaryFile, num_frames: int) -> None:
-    """Checks that the `num_frames` frames which were read from a run's folder are those that its summary counts.
+def check_frames(folder: Path, summary: SummaryFile, results: Collection[FrameResult]) -> None:
+    """Checks that the frames which were read from a run's folder are those that its summary counts.
 
     Raises:
         ValueError: If they are not.
     """
-    if summary.live is None and num_frames != summary.num_frames:  # a live run may lose some
-        path = folder / "frames.jsonl"
-        raise ValueError(f"{path}: expected the {summary.num_frames} frames of summary.json, got {num_frames}")
+    if summary.live is not None:  # a live run may lose some
+        return
+    detections = [result.detections for result in results if result.detections is not None]
+    modes = Counter(result.beam.mode for result in results if result.beam is not None)
+    counts = {
+        "frames": (summary.num_frames, len(results)),
+        "proposals": (summary.num_proposals, sum(len(result.proposals) for result in results)),
+        "accepted boxes": (summary.num_accepted, sum(int(each.is_accepted.sum()) for each in detections)),
+        "frames with low beam": (0 if summary.beam is None else summary.beam.num_low, modes[BeamMode.LOW]),
+        "frames with full beam": (0 if summary.beam is None else summary.beam.num_full, modes[BeamMode.FULL]),
+    }
+    for what, (wanted, found) in counts.items():
+        if wanted not in (None, found):
+            path = folder / "frames.jsonl"
+            raise ValueError(f"{path}: expected the {wanted} {what} of summary.json, got {found}")
 
 
 def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int, Frame]:

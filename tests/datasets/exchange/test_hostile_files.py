@@ -91,6 +91,31 @@ FILES = {
         coco(images=[{"id": 1, "file_name": f"{name}.png", "width": 96, "height": 72} for name in "ab"]),
         "images: expected another id for each, got 1 twice",
     ),
+    "a category twice": (
+        ".json",
+        coco(categories=[{"id": 1, "name": "light"}, {"id": 1, "name": "vehicle"}]),
+        "categories: expected another id for each, got 1 twice",
+    ),
+    "half of a key point": (
+        ".json",
+        coco(annotation={"keypoints": [1.5, 2.5]}),
+        "annotations.0.keypoints: expected x, y, visibility of each, got 2 numbers",
+    ),
+    "a box from right to left": (
+        ".xml",
+        image(inside='<box label="light" xtl="60" ytl="50" xbr="50" ybr="52"/>'),
+        "<box>: expected xtl up to xbr and ytl up to ybr, got 60, 50, 50, 52",
+    ),
+    "two points of a light": (
+        ".xml",
+        light("iid", "3").replace("1,2", "1,2;5,6"),
+        "<points> points: expected one point of light 3, got 2",
+    ),
+    "two points of a track": (
+        ".xml",
+        video().replace("1,2", "1,2;5,6"),
+        "track 0: <points> points: expected one point of light 1, got 2",
+    ),
     "outside of a text": (
         ".xml",
         video().replace("points='1,2'", "points='1,2' outside='yes'"),

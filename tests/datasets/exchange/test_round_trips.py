@@ -215,6 +215,64 @@ def test_points_beyond_the_first_of_an_annotation_are_counted(split: Path, tmp_p
     assert read_labels_file(path).lost == {"further key point of an annotation": 1}
 
 
+def test_attributes_of_other_names_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "labels.xml"
+    path.write_text(
+        """<annotations><image id="0" name="a.png" width="96" height="72">
+        <points label="light" points="70,60"><attribute name="Rear">true</attribute>
+        <attribute name="vehicle">5</attribute><attribute name="note"></attribute></points>
+        <points label="light" points="30,60" z_order="0"><attribute name="vehicle">6</attribute></points>
+        </image></annotations>"""
+    )
+    assert read_labels_file(path).lost == {"attribute 'vehicle'": 2, "attribute 'Rear'": 1}
+
+
+def test_attributes_of_other_names_in_coco_are_counted(tmp_path: Path) -> None:
+    """What COCO and CVAT always write beside a point is no attribute of it."""
+    usual = {"occluded": False, "rotation": 0.0, "track_id": 3, "keyframe": True}
+    common = {"image_id": 1, "category_id": 1, "keypoints": [1.5, 2.5, 2], "num_keypoints": 1, "bbox": [1, 2, 1, 1]}
+    common |= {"area": 1, "iscrowd": 0, "segmentation": [], "score": 1.0}
+    given = [usual | {"oid": 1}, usual | {"Rear": True, "vehicle_id": 3, "note": ""}, {}]
+    annotations = [common | {"id": index, "attributes": each} for index, each in enumerate(given)]
+    annotations[2] |= {"oid": 4, "keypoints": [0, 0, 0]}
+    file = {
+        "images": [{"id": 1, "file_name": "a.png", "width": 96, "height": 72, "license": 1}],
+        "categories": [{"id": 1, "name": "light"}],
+        "annotations": annotations,
+    }
+    (tmp_path / "labels.json").write_text(json.dumps(file))
+    found = read_labels_file(tmp_path / "labels.json")
+    assert [mark.position_px for mark in found.images[0].marks] == [(1, 2)] * 3
+    assert found.lost == {
+        "attribute 'Rear'": 1,
+        "attribute 'vehicle_id'": 1,
+        "field 'oid' of an annotation": 1,
+        "key point without visibility, in whose place the middle of the box is taken": 1,
+    }
+
+
+def test_choices_and_numbers_without_a_point_are_counted(tmp_path: Path) -> None:
+    size = {"original_width": 96, "original_height": 72}
+    result = [
+        size | {"id": "a", "type": "keypointlabels", "value": {"x": 1, "y": 2, "keypointlabels": ["light"]}},
+        {"id": "a", "type": "choices", "from_name": "is", "value": {"choices": ["Rear", "direct"]}},
+        {"id": "gone", "type": "number", "from_name": "oid", "value": {"number": 3}},
+        {"id": "a", "type": "choices", "from_name": "oid", "value": {"choices": ["3"]}},
+        {"id": "road", "type": "polygonlabels", "from_name": "area", "value": {}},
+        {"id": "road", "type": "number", "from_name": "oid", "value": {"number": 3}},
+    ]
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps([{"data": {"image": "a.png"}, "annotations": [{"result": result}]}]))
+    found = read_labels_file(path)
+    assert found.lost == {
+        "choice 'Rear'": 1,
+        "'oid' of a point that is not there": 1,
+        "region of the type 'choices'": 1,
+        "region of the type 'polygonlabels'": 1,
+    }
+    assert found.images[0].marks[0].is_direct
+
+
 KILLED = """
 import os, signal, sys
 from pathlib import Path

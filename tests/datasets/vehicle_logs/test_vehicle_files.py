@@ -158,6 +158,23 @@ def test_poses_beside_the_map(tmp_path: Path, road_map: Path) -> None:
         open_vehicle_data(road_map=road_map, poses=poses)
 
 
+def test_poses_that_head_across_the_road_or_are_at_another_height(tmp_path: Path, road_map: Path) -> None:
+    poses = poses_at(tmp_path)
+    poses.write_text(poses.read_text().replace(",90\n", ",0\n").removesuffix("90") + "0")
+    across = (
+        r"drive\.csv: expected poses along the roads of .*town\.geojson; none is, those .* across it, by more than 60"
+    )
+    with pytest.raises(ValueError, match=across):
+        open_vehicle_data(road_map=road_map, poses=poses)
+    road_map.write_text(json.dumps({"type": "LineString", "coordinates": [[9.0, 48.0, 411.0], [9.01, 48.0, 411.0]]}))
+    rows = [f"{k},47.999985,{9 + k * 0.0001},90,459,0,0" for k in range(11)]
+    poses.write_text("\n".join(["timestamp_s,lat_deg,lon_deg,heading_deg,height_m,pitch_deg,roll_deg", *rows]))
+    with pytest.raises(
+        ValueError, match="with heights of one kind; none is, those near a road are more than 5 m above"
+    ):
+        open_vehicle_data(road_map=road_map, poses=poses)
+
+
 def test_reports_of_the_poses_come_with_the_frames() -> None:
     rotations = Rotation.from_matrix(np.stack([np.eye(3)] * 2))
     times_ns, reports = np.array([0, SECOND]), np.array([False, True])

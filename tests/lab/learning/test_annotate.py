@@ -238,6 +238,17 @@ def test_command(tmp_path: Path) -> None:
     assert read_toml(data / "night" / "train" / "labels" / RECORD_NAME)["preset"] == "paper"
 
 
+def test_a_key_point_outside_the_image_is_told(split: Path) -> None:
+    """PVDN may have such points, so they are no error."""
+    result = foreglow_command("annotate", split)
+    assert "outside the image" not in result.stdout
+    keypoints = split / "labels/keypoints/000100.json"
+    edit(keypoints, "annotations", 0, "instances", 0, "pos", value=[40, -1])
+    result = foreglow_command("annotate", split)
+    assert result.exit_code == 0, result.output
+    assert f"{split}: outside the image, so that no box holds them: 1 key point\n" in result.stdout
+
+
 def test_command_complains(tmp_path: Path) -> None:
     assert "expected a split" in complaint("annotate", tmp_path / "nothing")
     assert "preset: expected one of" in complaint("annotate", tmp_path, "--preset", "mine")

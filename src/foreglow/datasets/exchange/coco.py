@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +24,7 @@ from foreglow.datasets.exchange.marks import (
     pixel,
     plain_path,
     truth,
+    unknown_attributes,
     writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
@@ -31,6 +32,19 @@ from foreglow.files import shortened
 
 IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
 """Ids of the categories that are written."""
+
+OTHER_FIELDS = frozenset(
+    {"segmentation", "area", "iscrowd", "num_keypoints", "score", "ignore", "group", "group_id", "track_id"}
+)
+"""Fields of an annotation that COCO and its tools write, and that say nothing of a point."""
+
+OTHER_ATTRIBUTES = frozenset(
+    {"occluded", "rotation", "track_id", "keyframe", "outside", "z_order", "is_crowd", "score", "group", "source"}
+)
+"""Attributes that CVAT and datumaro write beside those of the user."""
+
+UNSEEN = "key point without visibility, in whose place the middle of the box is taken"
+"""COCO gives a key point that is not labelled a visibility of 0."""
 
 Id = Annotated[int, Field(ge=0, le=2**53)]
 Numbers = tuple[float, ...]
@@ -79,11 +93,10 @@ def read_coco(path: Path) -> LabelSet:
         ValueError: If it is no such file, refers to nothing, or is beyond a bound; the message names the field.
     """
     file = read_json(path, CocoFile)
+    _check_ids(file.categories, f"{path}: categories")
+    _check_ids(file.images, f"{path}: images")
     names = {category.id: category.name for category in file.categories}
     marks: dict[int, list[Mark]] = {image.id: [] for image in file.images}
-    if len(marks) < len(file.images):
-        twice = next(image_id for image_id, num in Counter(image.id for image in file.images).items() if num > 1)
-        raise ValueError(f"{path}: images: expected another id for each, got {twice} twice")
     lost: Counter[str] = Counter()
     ids: set[int] = set()
     for index, annotation in enumerate(file.annotations):
@@ -100,11 +113,15 @@ def read_coco(path: Path) -> LabelSet:
         if name not in set(Kind):
             lost[f"annotation of the category {shortened(name)}"] += 1
             continue
+        lost.update(unknown_attributes(annotation.attributes, OTHER_ATTRIBUTES))
+        fields = (annotation.model_extra or {}).keys() - OTHER_FIELDS
+        lost.update(f"field {shortened(name)} of an annotation" for name in fields)
         point = _point(annotation, origin)
         lost["further key point of an annotation"] += max(0, sum(each > 0 for each in annotation.keypoints[2::3]) - 1)
         if point is None:
             lost["annotation without a key point or a box"] += 1
         else:
+            lost[UNSEEN] += bool(annotation.keypoints) and max(annotation.keypoints[2::3]) <= 0
             given = annotation.attributes
             marks[annotation.image_id].append(_mark(Kind(name), pixel(*point, f"{origin}.keypoints"), given, origin))
     images = (
@@ -118,9 +135,18 @@ def read_coco(path: Path) -> LabelSet:
     return LabelSet(checked_images(images, path), +lost)
 
 
+def _check_ids(records: Sequence[CocoImage | CocoCategory], origin: str) -> None:
+    """ValueError if two have the same id."""
+    twice = next((id_ for id_, num in Counter(record.id for record in records).items() if num > 1), None)
+    if twice is not None:
+        raise ValueError(f"{origin}: expected another id for each, got {twice} twice")
+
+
 def _point(annotation: CocoAnnotation, origin: str) -> tuple[float, float] | None:
     """The first key point that is labelled, else the middle of the box."""
     points = annotation.keypoints
+    if len(points) % 3:
+        raise ValueError(f"{origin}.keypoints: expected x, y, visibility of each, got {len(points)} numbers")
     for x, y, visibility in zip(points[0::3], points[1::3], points[2::3], strict=False):
         if visibility > 0:
             return x, y

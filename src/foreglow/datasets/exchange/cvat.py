@@ -26,6 +26,7 @@ from foreglow.datasets.exchange.marks import (
     pixel,
     plain_path,
     truth,
+    unknown_attributes,
     writable_name,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
@@ -87,10 +88,14 @@ def _marks(
         lost[f"shape labelled {shortened(label)}"] += 1
     else:
         given = dict(common) | _attributes(shape)
+        lost.update(unknown_attributes(given))
         where = f"{origin}: <{shape.tag}>"
         oid, iid = (number(given.get(name), f"{where} {name}") for name in ("oid", "iid"))
         is_direct, is_rear = (truth(given.get(name), f"{where} {name}") for name in ("direct", "rear"))
-        for x, y in _points(shape, where):
+        points = _points(shape, where)
+        if len(points) > 1 and iid is not None and label != Kind.VEHICLE:
+            raise ValueError(f"{where} points: expected one point of light {iid}, got {len(points)}")
+        for x, y in points:
             yield Mark(Kind(label), pixel(x, y, where), oid, iid, is_direct, is_rear)
 
 
@@ -101,6 +106,9 @@ def _attributes(element: Element) -> dict[str, str]:
 def _points(shape: Element, origin: str) -> list[tuple[float, float]]:
     if shape.tag == "box":
         left, top, right, bottom = (number_of(shape, name, origin) for name in ("xtl", "ytl", "xbr", "ybr"))
+        if left > right or top > bottom:
+            corners = f"{left:g}, {top:g}, {right:g}, {bottom:g}"
+            raise ValueError(f"{origin}: expected xtl up to xbr and ytl up to ybr, got {corners}")
         return [((left + right) / 2, (top + bottom) / 2)]
     text = shape.get("points", "")
     try:

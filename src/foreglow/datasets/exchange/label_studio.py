@@ -35,6 +35,9 @@ from foreglow.files import shortened
 _UPLOADED = re.compile(r"^[0-9a-f]{8}-")
 """What Label Studio puts before the name of an uploaded file."""
 
+_TYPES = {"category": "choices", "is": "choices", "oid": "number", "iid": "number"}
+"""By their names in the labelling configuration, the types of what is said of an image or a point."""
+
 Size = Annotated[int, Field(ge=1, le=2**20)]
 
 
@@ -107,6 +110,7 @@ def _name_of(data: dict[str, Any], origin: str) -> str:
 
 def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -> ImageLabels:
     said: dict[str, dict[str, Any]] = {}
+    others = set[str]()  # regions of which nothing is taken
     points: list[tuple[str, Region]] = []
     categories = []
     size_px = None
@@ -114,16 +118,19 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
         key = region.id or f"#{index}"
         if region.type in ("keypointlabels", "rectanglelabels"):
             points.append((key, region))
-        elif region.type in ("choices", "number") and region.from_name == "category":
+        elif _TYPES.get(region.from_name) != region.type:
+            lost[f"region of the type {shortened(region.type)}"] += 1
+            others |= {key} if region.type.endswith("labels") else set()
+        elif region.from_name == "category":
             for choice in _texts(region.value.get("choices"), origin):
                 if choice in CATEGORIES:
                     categories.append(CATEGORIES[choice])
                 else:
                     lost[f"category {shortened(choice)}"] += 1
-        elif region.type in ("choices", "number") and region.from_name in ("is", "oid", "iid"):
-            said.setdefault(key, {})[region.from_name] = region.value
         else:
-            lost[f"region of the type {shortened(region.type)}"] += 1
+            said.setdefault(key, {})[region.from_name] = region.value
+    for key in said.keys() - others - {key for key, _ in points}:
+        lost.update(f"{shortened(name)} of a point that is not there" for name in said[key])
     marks = []
     for key, region in points:
         where = f"{origin}: region {shortened(key)}"
@@ -141,6 +148,8 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
         if size_px is not None and found_px != size_px:
             raise ValueError(f"{where}: original_width, original_height: expected {size_px} as before, got {found_px}")
         size_px = found_px
+        choices = _texts(said.get(key, {}).get("is", {}).get("choices"), where)
+        lost.update(f"choice {shortened(choice)}" for choice in choices if choice not in ("direct", "rear"))
         marks.append(_mark(Kind(names[0]), region.value, size_px, said.get(key, {}), where))
     return ImageLabels(name, size_px, tuple(marks), tuple(categories))
 

@@ -6,7 +6,7 @@ import math
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import PurePosixPath
@@ -28,6 +28,9 @@ EARLIER_IMAGE = "earlier image, without labels, beside a labelled one"
 
 MAX_KINDS_LOST = 20
 """Different things that a message names as lost; the rest are counted together."""
+
+ATTRIBUTES = frozenset({"oid", "iid", "direct", "rear"})
+"""What the tools store beside a point."""
 
 
 class Kind(StrEnum):
@@ -101,6 +104,16 @@ def lost_lines(lost: Mapping[str, int]) -> list[str]:
     lines = [f"not taken: {count} x {what}" for what, count in counts[:MAX_KINDS_LOST]]
     rest = sum(count for _, count in counts[MAX_KINDS_LOST:])
     return [*lines, f"not taken: {rest} x something else"] if rest else lines
+
+
+def unknown_attributes(given: Mapping[str, object], ignored: Collection[str] = ()) -> list[str]:
+    """What is said of a point and not taken, for `LabelSet.lost`: attributes of other names that have a value.
+
+    >>> unknown_attributes({"oid": 3, "Rear": True, "note": "", "occluded": False}, ["occluded"])
+    ["attribute 'Rear'"]
+    """
+    names = (name for name, value in given.items() if value is not None and value != "")
+    return [f"attribute {shortened(name)}" for name in names if name not in ATTRIBUTES and name not in ignored]
 
 
 def marks_of(vehicles: Iterable[Vehicle], doubtful: Iterable[Instance] = ()) -> tuple[Mark, ...]:

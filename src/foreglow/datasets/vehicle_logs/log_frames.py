@@ -42,7 +42,18 @@ _RELATIVE = re.compile(
 )  # each time counts from the event before
 _DECIMAL_COMMA = re.compile(r"^(\s*\d+),(?=\d+\s)")  # of a time
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]")  # in no encoding of text but UTF-16; DOS ends it with 0x1a
-_CANDUMP_LINE = re.compile(r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-Fa-f]{1,8}#")  # time, bus, identifier
+_CANDUMP_LINE = re.compile(  # time, bus, identifier; a length, or the flags of CAN FD and whole bytes
+    r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-F]{1,8}#(R\d*|(#\d)?([0-9A-F]{2}){0,64})(\s|$)", re.IGNORECASE | re.ASCII
+)
+_ASC_FRAME = re.compile(  # time, channel, identifier, direction, kind: of other events of a log, none is like it
+    r"\s*(?!//|-?\d+\.\d+\s)\S+\s+(\d\S*\s+\S+\s+(Rx|Tx|TxRq)\s+[dr]\s+\S|CANFD\s+\d+\s+(Rx|Tx|TxRq)\s)"
+    r"|\s*\d+\.\d+\s+(?!\d+\s+\w+\s)\d\S*\s+\S+\s+(Rx|Tx|TxRq)\s+[dr]\s+\S",
+    re.IGNORECASE | re.ASCII,
+)
+"""What is a frame of an .asc with a time, channel or identifier that cannot be read, which python-can passes over."""
+
+_ASC_LENGTH = re.compile(r"\s*\S+\s+\d+\s+\S+\s+\S+\s+d\s+(\S+)", re.IGNORECASE)
+_MAX_DLC = 15  # of four bits; above 8 it means 8 bytes without CAN FD
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
 _MIN_BLF_BYTES = 144  # of the file's header
@@ -118,6 +129,8 @@ def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
                 # python-can takes any characters around a time for parentheses, and bits of any identifier.
                 if path.suffix.lower() == CANDUMP and not _CANDUMP_LINE.match(file.line):
                     raise ValueError
+                if path.suffix.lower() == ".asc" and not _has_its_bytes(frame, file.line, log.base):
+                    raise ValueError
                 yield frame
     # The documentation does not say what python-can's readers raise for a broken file.
     except (ValueError, LookupError, EOFError, struct.error, zlib.error, BLFParseError):
@@ -128,6 +141,16 @@ def _read_frames(reader: Any, file: Any, path: Path) -> Iterator[can.Message]:
         if isinstance(file, _TextLog):
             raise
         raise ValueError(f"{path}: expected a CAN log of the kind {path.suffix}, it is damaged") from None
+
+
+def _has_its_bytes(frame: can.Message, line: str, base: str) -> bool:
+    """Whether a frame of an .asc has a length that can be, and as many bytes; python-can takes any."""
+    if frame.is_error_frame or frame.is_remote_frame:
+        return True
+    found = _ASC_LENGTH.match(line)
+    if found is not None and not frame.is_fd and not 0 <= int(found[1], 10 if base == "dec" else 16) <= _MAX_DLC:
+        return False
+    return 0 <= (frame.dlc if frame.is_fd else min(frame.dlc, 8)) <= len(frame.data) <= 64
 
 
 def _bus_of(frame: can.Message, path: Path) -> str:
@@ -167,6 +190,8 @@ class _TextLog(io.TextIOWrapper):
             self.line = self.line.removeprefix(_BYTE_ORDER_MARK)
         if self._path.suffix.lower() == ".asc":  # python-can passes over a time with a comma, as Windows may write it
             self.line = _DECIMAL_COMMA.sub(r"\1.", self.line)
+            if _ASC_FRAME.match(self.line):
+                raise ValueError
         if _RELATIVE.match(self.line):
             self.is_told = True
             raise ValueError(f"{self._path}: line {self.number}: expected timestamps absolute, got relative ones")

@@ -12,6 +12,7 @@ from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
 from foreglow.geometry import Camera
 from foreglow.maps import PoseTrack, RoadMap, read_poses, read_road_map
+from foreglow.maps.centre_line import MAX_HEIGHT_OFFSET_M, MIN_ALONG
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
 
@@ -205,9 +206,17 @@ def _check_on_road(track: PoseTrack, roads: RoadMap, name: str, map_name: str) -
     """ValueError if no pose has a road ahead."""
     times_ns = track.times_ns[:: max(1, len(track.times_ns) // NUM_TRIED_POSES)].tolist()
     found = [pose for time_ns in times_ns if (pose := track.pose(time_ns)) is not None]
-    if not any(roads.ahead(pose, is_on_road=not track.has_attitude) for pose in found):
+    is_on_road = not track.has_attitude
+    if not any(roads.ahead(pose, is_on_road=is_on_road) for pose in found):
+        hindrances = {roads.hindrance(pose, is_on_road=is_on_road) for pose in found}
+        expected = f"{name}: expected poses along the roads of {map_name}"
+        if "heading" in hindrances:
+            limit_deg = f"{math.degrees(math.acos(MIN_ALONG)):.0f} degrees"
+            raise ValueError(f"{expected}; none is, those near a road head across it, by more than {limit_deg}")
+        if "height" in hindrances:
+            words = f"those near a road are more than {MAX_HEIGHT_OFFSET_M:g} m above or below it"
+            raise ValueError(f"{expected}, with heights of one kind; none is, {words}")
         nearest_m = min(roads.distance_m(pose.position_m) for pose in found)
         raise ValueError(
-            f"{name}: expected poses along the roads of {map_name}, with heights of one kind; none is, the nearest is "
-            f"{nearest_m:.0f} m from a point of the map"
+            f"{expected}, with heights of one kind; none is, the nearest is {nearest_m:.0f} m from a point of the map"
         )

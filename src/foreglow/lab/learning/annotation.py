@@ -28,6 +28,7 @@ from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
 from foreglow.files import to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
+from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.kept_files import checksum
 from foreglow.parallel import Local, Parent, Workers
@@ -90,6 +91,7 @@ class Annotation:
     Attributes:
         num_positive: Number of boxes with a key point.
         num_ignored: Number of proposals with doubtful light and no key point, which are left out of the files.
+        num_outside: Number of key points outside their image, which no box holds.
         quality: How well the positive boxes cover the key points: the upper bound of any classifier on these boxes.
     """
 
@@ -98,6 +100,7 @@ class Annotation:
     num_boxes: int
     num_positive: int
     num_ignored: int
+    num_outside: int
     quality: BoxQuality
 
     @property
@@ -107,7 +110,8 @@ class Annotation:
 
     def to_json(self) -> dict[str, Any]:
         """All fields by name, for JSON."""
-        counts = {name: getattr(self, name) for name in ("num_images", "num_boxes", "num_positive", "num_ignored")}
+        names = ("num_images", "num_boxes", "num_positive", "num_ignored", "num_outside")
+        counts = {name: getattr(self, name) for name in names}
         return {
             "root": str(self.root),
             **counts,
@@ -235,7 +239,8 @@ def _annotated(
         name: sum(getattr(sequence, name) for sequence in record.sequences)
         for name in ("num_images", "num_boxes", "num_positive", "num_ignored")
     }
-    return Annotation(dataset.root, **totals, quality=annotation_quality(dataset.root))
+    outside = (num_outside(dataset.image(each), dataset.keypoints_px(each).tolist()) for each in dataset.frame_ids)
+    return Annotation(dataset.root, **totals, num_outside=sum(outside), quality=annotation_quality(dataset.root))
 
 
 def _annotate_sequence(

@@ -235,14 +235,17 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
         sequence_of=sequence_of,
         time_s={image_id: dataset.time_s(image_id) for image_id in ids},
         shares=read_split_shares(dataset) if with_shares else {},
-        num_outside=sum(_num_outside(dataset.image(image_id), found) for image_id, found in lights.items() if found),
+        num_outside=sum(
+            num_outside(dataset.image(image_id), (light.position_px for light in found))
+            for image_id, found in lights.items()
+            if found
+        ),
     )
 
 
-def _num_outside(image: ImageRecord, lights: Iterable[Light]) -> int:
-    """How many of the lights lie beyond the edges of their image."""
-    positions = (light.position_px for light in lights)
-    return sum(not (0 <= x <= image.width_px and 0 <= y <= image.height_px) for x, y in positions)
+def num_outside(image: ImageRecord, positions_px: Iterable[Sequence[float]]) -> int:
+    """How many points lie beyond the edges of their image, where no box can hold them."""
+    return sum(not (0 <= x <= image.width_px and 0 <= y <= image.height_px) for x, y in positions_px)
 
 
 def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
