@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from foreglow.datasets.asf import HEADER, first_damage
+from foreglow.datasets.asf import HEADER, first_damage, objects
 
 DATA = bytes.fromhex("3626b2758e66cf11a6d900aa0062ce6c")
 FILE = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
@@ -129,3 +129,9 @@ def test_numbers_of_objects_have_any_length(fields: int) -> None:
 
     assert damage(numbered(200), numbered(201)) is None
     assert damage(numbered(200), numbered(203)) == (1 if num_bytes else None)
+
+
+def test_an_object_of_any_size() -> None:
+    data = HEADER + b"\xff" * 8
+    assert list(objects(io.BytesIO(data), len(data))) == [(HEADER, 0, 2**64 - 1)]
+    assert first_damage(io.BytesIO(data), len(data)) is None

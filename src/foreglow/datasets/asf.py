@@ -53,6 +53,8 @@ def objects(file: BinaryIO, size: int) -> Iterator[tuple[bytes, int, int]]:
     """
     position = 0
     for _ in range(_MAX_OBJECTS):
+        if position >= size:
+            return
         file.seek(position)
         header = file.read(24)
         length = int.from_bytes(header[16:], "little")
