@@ -27,6 +27,7 @@ MEDIA = {
     ".wmv": "wmv2",
     ".asf": "msmpeg4",
     ".mpg": "mpeg2video",
+    ".vob": "mpeg2video",
     ".y4m": "wrapped_avframe",
     ".mxf": "mpeg2video",
     ".nut": "libx264",
@@ -35,11 +36,29 @@ MEDIA = {
     ".m2v": "mpeg2video",
     ".mjpeg": "mjpeg",
 }
-SOUND = {".mp4": "aac", ".mkv": "aac", ".avi": "mp2", ".ts": "mp2", ".flv": "aac", ".asf": "mp2", ".mpg": "mp2"}
+SOUND = {
+    ".mp4": "aac",
+    ".mkv": "aac",
+    ".avi": "mp2",
+    ".ts": "mp2",
+    ".flv": "aac",
+    ".asf": "mp2",
+    ".wmv": "wmav2",
+    ".mpg": "mp2",
+    ".vob": "ac3",
+}
 
 
 def make_film(
-    path: Path, pixels: str = "", *, codec: str = "", num_b: int = 0, has_sound: bool = False, **options: str
+    path: Path,
+    pixels: str = "",
+    *,
+    codec: str = "",
+    kind: str | None = None,
+    num_b: int = 0,
+    bit_rate: int = 0,
+    has_sound: bool = False,
+    **options: str,
 ) -> Path:
     """Noise that moves, 130x98, whose sides are no multiples of four; perhaps with silence."""
     codec = codec or MEDIA[path.suffix]
@@ -49,17 +68,22 @@ def make_film(
         options["mpegts_m2ts_mode"] = "1"
     if path.suffix == ".y4m":
         options["strict"] = "-1"
-    kind = {".wmv": "asf", ".m2ts": "mpegts"}.get(path.suffix)
+    kind = kind or {".wmv": "asf", ".m2ts": "mpegts"}.get(path.suffix)
+    encoding = ({"bf": str(num_b)} if num_b else {}) | ({"b": str(bit_rate)} if bit_rate else {})
     with av.open(str(path), "w", format=kind, options=options) as container:
-        stream: Any = container.add_stream(codec, rate=25, options={"bf": str(num_b)} if num_b else {})
+        stream: Any = container.add_stream(codec, rate=25, options=encoding)
         stream.width, stream.height, stream.pix_fmt, stream.gop_size = 130, 98, pixels, 12
-        sound: Any = container.add_stream(SOUND[path.suffix], rate=48000) if has_sound else None
+        # A Video CD has another rate.
+        rate = 44100 if kind in ("vcd", "svcd") else 48000
+        sound: Any = container.add_stream(SOUND[path.suffix], rate=rate) if has_sound else None
+        if sound is not None:
+            sound.bit_rate = 128_000
         for index in range(NUM_FRAMES):
             view = np.ascontiguousarray(noise[:, index : index + 130])
             container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray").reformat(format=pixels)))
             if sound is not None:
-                silence = av.AudioFrame.from_ndarray(np.zeros((1, 2 * 1920), np.int16), layout="stereo")
-                silence.sample_rate, silence.pts = 48000, 1920 * index
+                silence = av.AudioFrame.from_ndarray(np.zeros((1, 2 * rate // 25), np.int16), layout="stereo")
+                silence.sample_rate, silence.pts = rate, rate // 25 * index
                 container.mux(sound.encode(silence))
         container.mux(stream.encode(None))
         if sound is not None:
@@ -131,6 +155,67 @@ def test_a_hole_between_parts(tmp_path: Path, name: str) -> None:
     data[start : start + length] = bytes(length)
     path.write_bytes(bytes(data))
     assert told(path, "found damage; frames may be missing from there on") < NUM_FRAMES
+
+
+def hit(data: bytes, start: int, length: int = 300) -> bytes:
+    return data[:start] + bytes(length) + data[start + length :]
+
+
+@pytest.mark.parametrize("name", ["clip.wmv", "clip.asf"])
+@pytest.mark.parametrize("has_sound", [False, True])
+def test_small_holes_in_packets_of_asf(tmp_path: Path, name: str, *, has_sound: bool) -> None:
+    """A packet holds several frames, each behind a header of its own."""
+    path = make_film(tmp_path / name, has_sound=has_sound)
+    data = path.read_bytes()
+    num_told = 0
+    for start in range(3000, len(data) - 300, 512):
+        path.write_bytes(hit(data, start))
+        video = Video(path, on_error="skip")
+        assert len(list(video)) == NUM_FRAMES or video.skipped, start
+        num_told += bool(video.lost_parts)
+    assert num_told > 10
+
+
+@pytest.mark.parametrize("name", ["clip.mpg", "clip.vob"])
+@pytest.mark.parametrize("has_sound", [False, True])
+@pytest.mark.parametrize("length", [300, 2048, 4096])
+def test_holes_at_packs_of_a_program_stream(tmp_path: Path, name: str, length: int, *, has_sound: bool) -> None:
+    path = make_film(tmp_path / name, has_sound=has_sound)
+    data = path.read_bytes()
+    for start in (0, 2048, 10240):
+        path.write_bytes(hit(data, start, length))
+        told(path, f"byte {start}: expected a packet of an MPEG program stream, found damage")
+
+
+@pytest.mark.parametrize("name", ["clip.mpg", "clip.vob"])
+def test_a_program_stream_cut_in_a_packet(tmp_path: Path, name: str) -> None:
+    path = make_film(tmp_path / name)
+    data = path.read_bytes()
+    for kept in (1, 5, 13, 40, 1000, 2047):
+        path.write_bytes(data[: 12288 + kept])
+        assert told(path, "bytes are missing at the end") < NUM_FRAMES
+
+
+@pytest.mark.parametrize("before", [bytes(300), b"junk"])
+@pytest.mark.parametrize("name", ["clip.mov", "clip.mjpeg"])
+def test_raw_mjpeg_with_something_else_before_it(tmp_path: Path, name: str, before: bytes) -> None:
+    """A MOV of which nothing tells the format is taken for raw MJPEG, which has no times."""
+    path = make_film(tmp_path / name)
+    path.write_bytes(before + path.read_bytes())
+    told(path, "byte 0: expected a picture of raw MJPEG, found other data")
+
+
+def test_raw_mjpeg_whose_first_picture_lost_its_beginning(tmp_path: Path) -> None:
+    path = make_film(tmp_path / "clip.mjpeg")
+    path.write_bytes(hit(path.read_bytes(), 0))
+    assert told(path, "byte 0: expected a picture of raw MJPEG, found other data") < NUM_FRAMES
+
+
+@pytest.mark.parametrize("before", [b"", b"\r\n", b"\r\n--part\r\nContent-Type: image/jpeg\r\n\r\n"])
+def test_raw_mjpeg_of_a_network_camera_gives_no_alarm(tmp_path: Path, before: bytes) -> None:
+    path = make_film(tmp_path / "clip.mjpeg")
+    path.write_bytes(before + path.read_bytes())
+    intact(path)
 
 
 @pytest.mark.parametrize("name", ["clip.mp4", "clip.mov", "clip.3gp", "clip.flv", "clip.wmv", "clip.asf"])
@@ -260,8 +345,24 @@ def test_whole_films_whose_frames_refer_to_later_ones_give_no_alarm(tmp_path: Pa
     intact(make_film(tmp_path / f"clip{suffix}", codec="libx264", num_b=3))
 
 
+@pytest.mark.parametrize("codec", ["wmv1", "wmv2", "msmpeg4", "mpeg4"])
+@pytest.mark.parametrize("bit_rate", [20_000, 8_000_000])
+@pytest.mark.parametrize("packet_size", ["500", "3200", "20000"])
+def test_whole_films_in_asf_give_no_alarm(tmp_path: Path, codec: str, bit_rate: int, packet_size: str) -> None:
+    path = tmp_path / "clip.asf"
+    intact(make_film(path, codec=codec, bit_rate=bit_rate, has_sound=True, packet_size=packet_size))
+
+
+@pytest.mark.parametrize("kind", ["mpeg", "vob", "dvd", "vcd", "svcd"])
+@pytest.mark.parametrize("codec", ["mpeg1video", "mpeg2video"])
+@pytest.mark.parametrize("bit_rate", [20_000, 8_000_000])
+@pytest.mark.parametrize("num_b", [0, 2])
+def test_whole_program_streams_give_no_alarm(tmp_path: Path, kind: str, codec: str, bit_rate: int, num_b: int) -> None:
+    intact(make_film(tmp_path / "clip.mpg", codec=codec, kind=kind, bit_rate=bit_rate, num_b=num_b, has_sound=True))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".ts", ".m2ts", ".flv", ".asf"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv", ".ts", ".m2ts", ".flv", ".asf", ".mpg", ".vob"])
 @pytest.mark.parametrize("name", ["night_motorway_640x360.mp4", "night_motorway_2872x1622.mp4"])
 def test_real_clips_in_other_containers_give_no_alarm(tmp_path: Path, name: str, suffix: str) -> None:
     path = tmp_path / f"clip{suffix}"

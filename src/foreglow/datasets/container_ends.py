@@ -7,11 +7,10 @@ second film behind the first. Only where parts begin and end is looked at: their
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from foreglow.datasets import matroska
+from foreglow.datasets import asf, matroska, program_stream
 from foreglow.datasets.images import MAX_SIDE_PX
 
 MAX_PARTS = 4_000_000
@@ -38,16 +37,10 @@ _Y4M_CHROMA = {
 }
 """By what width and height are divided in the further planes, and how many there are; alpha counts as one."""
 
-_ASF_HEADER = bytes.fromhex("3026b2758e66cf11a6d900aa0062ce6c")
-_ASF_DATA = bytes.fromhex("3626b2758e66cf11a6d900aa0062ce6c")
-_ASF_FILE = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")
-_ASF_PACKET = b"\x82\0\0"
-"""How data packets begin that have error correction data, as those of all known recorders do."""
-
-_ASF_DATA_START = 50  # bytes of the data object before its first packet
-
 _MXF_KEY = bytes.fromhex("060e2b34")
 _MXF_PARTITION = bytes.fromhex("060e2b34020501010d01020101")
+
+_JPEG = b"\xff\xd8\xff"
 
 _FLV = b"FLV\x01"
 _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whether it is encrypted
@@ -56,8 +49,8 @@ _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whet
 def missing_bytes(path: Path) -> int:
     """Number of bytes missing at the end of `path`, by sizes in its container; more may be missing.
 
-    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, MPEG-TS. 0
-    for a complete file, and for a container that states no size (live Matroska, raw streams).
+    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, MPEG-TS and
+    MPEG program streams. 0 for a complete file, and for a container that states no size (live Matroska, raw streams).
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -68,8 +61,10 @@ def missing_bytes(path: Path) -> int:
             end = 8 + int.from_bytes(head[4:8], "little")
         elif head.startswith(matroska.MAGIC):
             end = matroska.matroska_end(path)
-        elif head.startswith(_ASF_HEADER[:12]):
-            end = next((stop for _, _, stop in _asf_objects(file, size) if stop > size), size)
+        elif head.startswith(asf.HEADER[:12]):
+            end = next((stop for _, _, stop in asf.objects(file, size) if stop > size), size)
+        elif head.startswith(program_stream.PACK):
+            end = program_stream.walk(file, size)[0]
         elif head.startswith(_Y4M):
             end = _y4m_end(file, size)
         elif head.startswith(_MXF_KEY):
@@ -79,10 +74,11 @@ def missing_bytes(path: Path) -> int:
     return max(0, end - size)
 
 
-def hole(path: Path) -> str:
+def hole(path: Path, demultiplexer: str = "") -> str:
     """A line about the first damage between parts of a file, or about a second film in it; empty if there is none.
 
-    Behind the damage of Matroska, AVI, ASF/WMV, MXF and FLV the demultiplexer silently goes on, or ends.
+    Behind the damage of Matroska, AVI, ASF/WMV, MXF, FLV and MPEG program streams the demultiplexer silently goes on,
+    or ends. `demultiplexer` is FFmpeg's name of it, which says more than the first bytes where those are damaged.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -94,18 +90,22 @@ def hole(path: Path) -> str:
             kind, what, damage = "a Matroska file", "an element", matroska.first_damage(path)
         elif _is_avi(head):
             kind, what, damage = "an AVI file", "a chunk", _avi_damage(file, size)
-        elif head.startswith(_ASF_HEADER[:12]):
-            kind, what, damage = "an ASF file", "a packet", _asf_damage(file, size)
+        elif head.startswith(asf.HEADER[:12]):
+            kind, what, damage = "an ASF file", "a packet", asf.first_damage(file, size)
         elif head.startswith(_MXF_KEY):
             kind, what, damage = "an MXF file", "a key", _mxf(file, size)[1]
         elif head.startswith(_FLV):
             kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
+        elif head.startswith(program_stream.PACK) or (demultiplexer == "mpeg" and head.startswith(bytes(4))):
+            kind, what, damage = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
+        elif demultiplexer == "mjpeg":
+            return _before_pictures(path, file)
         else:
             return ""
         if damage is None:
             return ""
         file.seek(damage)
-        if file.read(16).startswith((_FLV, _ASF_HEADER)):
+        if file.read(16).startswith((_FLV, asf.HEADER)):
             return _second_film(path, damage, "header")
     return (
         f"{path}: byte {damage}: expected {what} of {kind}, found damage; frames may be missing from "
@@ -115,6 +115,22 @@ def hole(path: Path) -> str:
 
 def _second_film(path: Path, position: int, what: str) -> str:
     return f"{path}: byte {position}: expected one film, found a second {what}; the film that it begins is not read"
+
+
+def _before_pictures(path: Path, file: BinaryIO) -> str:
+    """A line about other data before the first picture of raw MJPEG; FFmpeg takes any file with JPEGs for that.
+
+    Recordings of network cameras may begin with the header of a part, as HTTP sends it.
+    """
+    file.seek(0)
+    data = file.read(_PIECE)
+    before = data[: max(0, data.find(_JPEG))].strip(b"\r\n")
+    if not before or b"image/jpeg" in before.lower():
+        return ""
+    return (
+        f"{path}: byte 0: expected a picture of raw MJPEG, found other data up to byte {data.find(_JPEG)}; frames may "
+        "be missing there, or it is a damaged file of another format, whose times are not read"
+    )
 
 
 def _mp4(file: BinaryIO, size: int) -> tuple[int, int | None]:
@@ -242,52 +258,6 @@ def _has(file: BinaryIO, position: int, name: bytes) -> bool:
             return True
         kept = data[1 - len(name) :]
     return False
-
-
-def _asf_objects(file: BinaryIO, size: int) -> Iterator[tuple[bytes, int, int]]:
-    """Names, beginnings and ends of an ASF file's top-level objects. Source: ASF specification, section 2.
-
-    A recorder that was killed leaves data without a size, which go to the end of the file.
-    """
-    position = 0
-    for _ in range(_MAX_BOXES):
-        file.seek(position)
-        header = file.read(24)
-        length = int.from_bytes(header[16:], "little")
-        is_open = header[:16] == _ASF_DATA and length <= _ASF_DATA_START
-        if len(header) < 24 or (length < 24 and not is_open):
-            return
-        stop = size if is_open else position + length
-        yield header[:16], position, stop
-        position = stop
-
-
-def _asf_packet_size(file: BinaryIO, start: int, stop: int) -> int:
-    """Bytes of each packet by the header at `start`; 0 if they differ, or none is stated. Source: ASF, section 3.2."""
-    file.seek(start)
-    header = file.read(min(stop - start, _PIECE))
-    found = header.find(_ASF_FILE)
-    least, most = (header[found + begin : found + begin + 4] for begin in (92, 96))
-    return int.from_bytes(least, "little") if found >= 0 and least == most else 0
-
-
-def _asf_damage(file: BinaryIO, size: int) -> int | None:
-    """The first byte at which an ASF file lacks a packet, or at which another file's header stands."""
-    length = 0
-    for name, start, stop in _asf_objects(file, size):
-        if name == _ASF_HEADER:
-            if start:
-                return start
-            length = _asf_packet_size(file, start, stop)
-        elif name == _ASF_DATA and length:
-            first = start + _ASF_DATA_START
-            for position in range(first, min(stop, size, first + MAX_PARTS * length) - 2, length):
-                file.seek(position)
-                if file.read(3) != _ASF_PACKET:
-                    if position == first:  # without error correction data, packets begin in many ways
-                        break
-                    return position
-    return None
 
 
 def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None]:

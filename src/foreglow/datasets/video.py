@@ -98,7 +98,7 @@ class Video(FileSource):
             # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
             self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
-            self._hole = "" if missing else hole(self.path)
+            self._hole = "" if missing else hole(self.path, container.format.name)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
         self.note = ""
