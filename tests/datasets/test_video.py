@@ -370,8 +370,8 @@ def test_pictures_go_as_soon_as_the_next_one_comes(tmp_path: Path) -> None:
 def test_frames_without_a_time_follow_at_the_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = make_video(tmp_path / "clip.mp4")
 
-    def untimed(container: Any, stream: Any) -> Any:
-        for number, (picture, is_damaged) in enumerate(decoded(container, stream)):
+    def untimed(container: Any, stream: Any, losses: Any) -> Any:
+        for number, (picture, is_damaged) in enumerate(decoded(container, stream, losses)):
             if picture is not None and number in (5, 6):
                 picture.pts = None
             yield picture, is_damaged

@@ -12,6 +12,7 @@ from typing import BinaryIO
 
 from foreglow.datasets import asf, matroska, program_stream
 from foreglow.datasets.images import MAX_SIDE_PX
+from foreglow.datasets.transport import PACKETS, SYNC
 
 MAX_PARTS = 4_000_000
 """Of a file with more parts, which is two days of 25 frames a second, the rest is not checked."""
@@ -20,10 +21,6 @@ _MAX_BOXES = 100_000  # an MP4 with more top-level boxes is not checked to its e
 _MP4_BEGINNINGS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 _PIECE = 1 << 20  # bytes
 
-_TRANSPORT_PACKETS = ((188, 0), (192, 4), (204, 0))
-"""Sizes of a transport stream's packets and where 0x47 stands in them. Source: ISO/IEC 13818-1; BDAV (M2TS); DVB."""
-
-_SYNC = 0x47
 _NUM_SYNCS = 8  # so many packets in a row begin with 0x47
 
 _Y4M = b"YUV4MPEG2 "
@@ -188,7 +185,7 @@ def _y4m_end(file: BinaryIO, size: int) -> int:
 
 def _missing_of_packet(file: BinaryIO, size: int) -> int:
     """Number of bytes that a transport stream's last packet lacks; 0 for a whole one, and for another file."""
-    for length, offset in _TRANSPORT_PACKETS:
+    for length, offset in PACKETS:
         file.seek(0)
         if _first_packet(file.read(length * (_NUM_SYNCS + 1)), length, offset) is None:
             continue
@@ -205,7 +202,7 @@ def _first_packet(data: bytes, length: int, offset: int) -> int | None:
     """Where packets of this length begin in `data`, all of which have their sync byte; None if they do not."""
     for begin in range(length):
         syncs = data[begin + offset :: length]
-        if len(syncs) > 1 and syncs.count(_SYNC) == len(syncs):
+        if len(syncs) > 1 and syncs.count(SYNC) == len(syncs):
             return begin
     return None
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
+from foreglow.datasets.transport import TransportLosses, with_losses
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
 
@@ -73,7 +74,7 @@ def video_stream(container: Any, name: str) -> Any:
     return stream
 
 
-def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
+def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) -> Iterator[tuple[Any | None, bool]]:
     """Each picture, and whether it is damaged; None if packets at the end gave no picture because of damage.
 
     Damaged are the pictures from a packet that is cut, incomplete or undecodable on, because each is coded as what
@@ -83,7 +84,8 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
     a picture of FFV1 with a wrong checksum, one of MJPEG of which libjpeg or FFmpeg has to guess a part, and those of
     H.264 after a missing frame; FFmpeg tells of none but in its log. Of H.265, None comes in the place of each picture,
-    too, that the decoder has left out since the first key frame.
+    too, that the decoder has left out since the first key frame. With `losses`, damaged are also the pictures from a
+    packet on in whose part of the file something is lost; as this is known exactly, the next key frame ends it.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
     wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
@@ -102,11 +104,13 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
     codec.flags |= Flags.copy_opaque  # pictures carry the number of their packet
     checksums = _Ffv1Checksums() if codec.name == "ffv1" else None
     numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
-    damaged, key, latest = -math.inf, -math.inf, -1  # numbers of packets
+    damaged, broken, key, latest = -math.inf, -math.inf, -math.inf, -1  # numbers of packets
     first_keys: set[int] = set()
     unshown = _Unshown(codec.extradata) if codec.name == "hevc" else None
-    for number, packet in enumerate(_packets(container, stream)):
+    for number, (packet, is_broken) in enumerate(with_losses(_packets(container, stream), losses)):
         packet.opaque = number
+        if is_broken:
+            broken = number
         if key < 0 and packet.is_keyframe:
             first_keys.add(number)
             if packet.is_discard:  # an edit list shows only what comes later
@@ -136,11 +140,11 @@ def decoded(container: Any, stream: Any) -> Iterator[tuple[Any | None, bool]]:
             if unshown is not None:
                 for _ in unshown.lost_before(origin, is_key=key == origin):
                     yield None, True
-            yield picture, damaged >= key - 1
+            yield picture, damaged >= key - 1 or broken >= key
     if unshown is not None and unshown.numbers:
         for _ in unshown.numbers:
             yield None, True
-    elif damaged > latest:
+    elif max(damaged, broken) > latest:
         yield None, True
 
 

@@ -23,6 +23,7 @@ from foreglow.datasets.decoding import (
 )
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
+from foreglow.datasets.transport import TransportLosses
 from foreglow.files import check_file
 from foreglow.types import Frame
 
@@ -129,7 +130,9 @@ class Video(FileSource):
         try:
             with self._opened() as (container, stream):
                 whole = _Whole(container)
-                for picture, is_damaged in decoded(whole, stream):
+                is_transport = container.format.name == "mpegts"
+                losses = TransportLosses(self.path, stream.id) if is_transport else None
+                for picture, is_damaged in decoded(whole, stream, losses):
                     index += 1
                     time = whole.times.popleft() if whole.times else None
                     if picture is not None and self._is_reordered and time is not None:
