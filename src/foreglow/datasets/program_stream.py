@@ -13,9 +13,7 @@ PACK = b"\0\0\1\xba"
 
 _START = b"\0\0\1"
 _PACK, _END, _LEAST = 0xBA, 0xB9, 0xB9  # start codes below are of a video's data
-_HEADER_BYTES = (
-    64  # as much of a packet as is looked at: up to 16 bytes of stuffing stand before an MPEG-1 packet's times
-)
+_HEADER_BYTES = 64  # of a packet that are looked at: up to 16 bytes of stuffing stand before an MPEG-1 packet's times
 _VIDEO = range(0xE0, 0xF0)
 _NO_HEADER = frozenset({0xBB, 0xBC, 0xBE, 0xBF, 0xF0, 0xF1, 0xF2, 0xF8, 0xFF})
 """System header, map, padding, private data and control messages: packets without times."""
