@@ -38,10 +38,14 @@ class FrozenModel(BaseModel):
         """As pydantic's, but what is changed is checked as where the model is made.
 
         Raises:
-            ValueError: If a field is unknown or its value is not allowed, also beside the others.
+            ValueError: If a field is unknown or its value is not allowed, also beside the others; the message names the
+                first such field.
         """
         if update:
-            whole = type(self).model_validate(dict(self) | dict(update))
+            try:
+                whole = type(self).model_validate(dict(self) | dict(update))
+            except ValidationError as error:
+                raise ValueError(_first_complaint(type(self), error)) from error
             update = {name: getattr(whole, name) for name in update}
         return super().model_copy(update=update, deep=deep)
 

@@ -305,7 +305,11 @@ def long_drives(num: int, seed: int, split: Split) -> tuple[Scene, ...]:
 
 
 def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
-    """`scene` with another image size and the same horizontal field of view."""
+    """`scene` with another image size and the same horizontal field of view.
+
+    Raises:
+        ValueError: If no scene's camera has such a size.
+    """
     camera = scene.camera
     if (camera.width_px, camera.height_px) == (width_px, height_px):
         return scene
@@ -313,14 +317,11 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
     centre = None
     if camera.centre_px is not None:
         centre = (camera.centre_px[0] * factor, camera.centre_px[1] * height_px / camera.height_px)
-    sized = camera.model_copy(
-        update={
-            "width_px": width_px,
-            "height_px": height_px,
-            "focal_px": camera.focal_px * factor,
-            "centre_px": centre,
-        }
-    )
+    size = {"width_px": width_px, "height_px": height_px}
+    try:
+        sized = camera.model_copy(update={**size, "focal_px": camera.focal_px * factor, "centre_px": centre})
+    except ValueError as error:
+        raise ValueError(f"camera.{error}") from None
     return scene.model_copy(update={"camera": sized})
 
 
