@@ -91,9 +91,9 @@ def test_paths_are_left_out(tmp_path: Path) -> None:
         (
             "v='400.2'",
             "v='0'",
-            "way b: ele: expected heights that differ by at most 5 m .*, got 0 m and 400.2 m of nodes b0",
+            "way b: ele: expected heights that differ by at most 5 m .*, got 0 m and 400.2 m of points b0",
         ),
-        ("v='400.4'", "v='-9999'", "way c: ele: expected heights that differ by at most 5 m .* of nodes c0 and c1"),
+        ("v='400.4'", "v='-9999'", "way c: ele: expected heights that differ by at most 5 m .* of points c0 and c1"),
         ("<tag k='ele' v='400.2'/>", "", "ele: expected a height at all nodes of borders, or at none"),
         ("<node id='a1'", "<node id='a0'", "node: expected an id of its own for each, got a0 twice"),
         ("<node id='a1'", "<node", "node: expected an id of its own for each, got one without"),

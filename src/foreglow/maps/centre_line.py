@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -226,15 +227,26 @@ def check_points(points_m: Floats, origin: str) -> None:
         raise ValueError(f"{origin}: height: expected up to {MAX_HEIGHT_M:g} m above or below zero, got {worst_m:g}")
 
 
-def steep_step(points_m: Floats) -> int | None:
-    """Of points, shape (N, 3), the first that differs in height from the next as no road does; None if none does.
+def check_steps(points_m: Floats, origin: str, names: Sequence[str] = ()) -> None:
+    """Passes points of a line along a road, shape (N, 3), that follow each other.
 
-    >>> steep_step(np.array([[0, 0, 411.0], [10, 0, 414], [20, 0, 0]]))
-    1
+    Args:
+        points_m: The points; heights may be NaN.
+        origin: Begins the message.
+        names: What the points are called in the message; by default they are numbered.
+
+    Raises:
+        ValueError: If a height differs from the next as on no road.
     """
     steps_m = np.abs(np.diff(points_m, axis=0))
     is_steep = steps_m[:, 2] > np.hypot(steps_m[:, 0], steps_m[:, 1]) + MAX_STEP_M  # never for NaN
-    return int(is_steep.argmax()) if is_steep.any() else None
+    if is_steep.any():
+        first = int(is_steep.argmax())
+        before, after = (names or range(len(points_m)))[first : first + 2]
+        raise ValueError(
+            f"{origin}: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of the points, got "
+            f"{points_m[first, 2]:g} m and {points_m[first + 1, 2]:g} m of points {before} and {after}"
+        )
 
 
 def without_repeats(points_m: Floats) -> Floats:

@@ -21,14 +21,7 @@ import numpy as np
 
 from foreglow.files import number_in, read_plain_json, shortened
 from foreglow.geometry import Floats, checked_number
-from foreglow.maps.centre_line import (
-    MAX_STEP_M,
-    MAX_WIDTH_M,
-    CentreLine,
-    check_points,
-    steep_step,
-    without_repeats,
-)
+from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_points, check_steps, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.street import LANE_WIDTH_M
@@ -61,11 +54,7 @@ def read_geojson(path: Path) -> RoadMap:
         if len(points) < 2:
             raise ValueError(f"{origin}: coordinates: expected points that differ")
         check_points(given, f"{origin}: coordinates")
-        if (step := steep_step(given)) is not None:
-            raise ValueError(
-                f"{origin}: coordinates: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of "
-                f"the points, got {z_m[step, 0]:g} m and {z_m[step + 1, 0]:g} m of points {step} and {step + 1}"
-            )
+        check_steps(given, f"{origin}: coordinates")
         lines.append(CentreLine(points, width_m / 2))
     return RoadMap(lines, earth, has_heights=heights == {3})
 

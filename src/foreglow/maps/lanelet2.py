@@ -18,13 +18,12 @@ import numpy as np
 
 from foreglow.geometry import Floats
 from foreglow.maps.centre_line import (
-    MAX_STEP_M,
     STEP_M,
     CentreLine,
     PointCount,
     check_points,
+    check_steps,
     check_width,
-    steep_step,
     without_repeats,
 )
 from foreglow.maps.geographic import GeographicOrigin, check_position
@@ -58,7 +57,8 @@ def read_lanelet2(path: Path) -> RoadMap:
         borders = {way: np.nan_to_num(border) for way, border in borders.items()}
     for way, border in borders.items():
         check_points(border, f"{path}: way {way}")
-        _check_steps(way, ways, nodes, path)
+        names = ways[way]
+        check_steps(np.array([nodes[name] for name in names]), f"{path}: way {way}: ele", names)
     count = PointCount()
     lines = [
         _line(borders[first], borders[second], count, f"{path}: ways {first} and {second}")
@@ -124,18 +124,6 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
     if len(border) < 2:
         raise ValueError(f"{path}: way {way}: expected at least two nodes that differ")
     return border
-
-
-def _check_steps(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path: Path) -> None:
-    """ValueError if two nodes of a border that follow each other differ in height as no road does."""
-    step = steep_step(np.array([nodes[node] for node in ways[way]]))
-    if step is not None:
-        before, after = ways[way][step : step + 2]
-        heights_m = f"{nodes[before][2]:g} m and {nodes[after][2]:g} m"
-        raise ValueError(
-            f"{path}: way {way}: ele: expected heights that differ by at most {MAX_STEP_M:g} m and the distance of "
-            f"the nodes, got {heights_m} of nodes {before} and {after}"
-        )
 
 
 def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[str, str]]:

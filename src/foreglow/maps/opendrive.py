@@ -21,8 +21,8 @@ from foreglow.maps.centre_line import (
     CentreLine,
     PointCount,
     check_points,
+    check_steps,
     check_width,
-    steep_step,
     without_repeats,
 )
 from foreglow.maps.road_map import RoadMap
@@ -101,9 +101,7 @@ def _line(road: Element, count: PointCount, origin: str) -> CentreLine | None:
     if len(whole) < 2:
         return None
     check_points(whole[:, :3], origin)
-    if (step := steep_step(whole[:, :3])) is not None:
-        heights_m = f"{whole[step, 2]:g} m and then {whole[step + 1, 2]:g} m"
-        raise ValueError(f"{origin}: elevation: expected a road without steps, got {heights_m} near s = {step} m")
+    check_steps(whole[:, :3], f"{origin}: elevation, every metre")
     width_m = float(np.mean(left_m - right_m))
     check_width(width_m, f"{origin}: lanes")
     return CentreLine(whole[:, :3], width_m / 2, whole[:, 3])

@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import json
 import math
 import uuid
-import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -30,7 +28,7 @@ from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import lies_in
-from foreglow.lab.learning.kept_files import checksum
+from foreglow.lab.learning.kept_files import checksum, checksum_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
@@ -262,7 +260,7 @@ def _annotate_sequence(
 
 def _checksum(dataset: PVDN, image_ids: Iterable[int]) -> int:
     """CRC-32 of those of the images' files of boxes."""
-    return zlib.crc32(json.dumps([checksum(_box_file(dataset, image_id)) for image_id in image_ids]).encode())
+    return checksum_of([checksum(_box_file(dataset, image_id)) for image_id in image_ids])
 
 
 @functools.lru_cache(maxsize=1)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import struct
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 from foreglow.files import MIB
 
@@ -49,6 +51,11 @@ def checksum(path: Path) -> int:
         while piece := file.read(MIB):
             found = zlib.crc32(piece, found)
     return found
+
+
+def checksum_of(value: Any) -> int:
+    """CRC-32 of a value of JSON."""
+    return zlib.crc32(json.dumps(value).encode())
 
 
 def check_torch_file(path: Path) -> None:

@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import hashlib
 import json
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import read_plain_json, to_json, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
+from foreglow.lab.learning.kept_files import checksum_of
 from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
 from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
 from foreglow.lab.simulation.scenes.scenarios import SPLITS
@@ -254,7 +254,7 @@ def _sightings_file(folder: Path, name: str) -> Path:
 def keep_sightings(path: Path, sightings: Sequence[Sighting]) -> None:
     """Writes what was expected of a drive's hidden vehicles, with a checksum."""
     rows = to_json(list(sightings))
-    write_json_results(path, {"sightings": rows, "checksum": _checksum(rows)})
+    write_json_results(path, {"sightings": rows, "checksum": checksum_of(rows)})
 
 
 def kept_sightings(path: Path) -> list[Sighting]:
@@ -266,13 +266,9 @@ def kept_sightings(path: Path) -> list[Sighting]:
     """
     kept = read_plain_json(path)
     rows = kept.get("sightings") if isinstance(kept, dict) else None
-    if not isinstance(rows, list) or kept.get("checksum") != _checksum(rows):
+    if not isinstance(rows, list) or kept.get("checksum") != checksum_of(rows):
         raise ValueError(f"{path}: expected a drive's whole file, found it damaged; remove it to drive the scene again")
     return [Sighting.from_json(row) for row in rows]
-
-
-def _checksum(rows: Sequence[Any]) -> int:
-    return zlib.crc32(json.dumps(rows).encode())
 
 
 def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str) -> GlareExperiment:
