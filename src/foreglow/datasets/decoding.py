@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import functools
 import math
-import re
 import zlib
 from collections.abc import Iterator
 from typing import Any
@@ -18,6 +17,7 @@ from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
 from foreglow.datasets.transport import TransportLosses, with_losses
+from foreglow.datasets.unshown import Unshown
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
 
@@ -83,8 +83,8 @@ def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) 
     stays damaged. A packet that cannot be decoded does not end the stream. Damaged are also the pictures before the
     first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
     a picture of FFV1 with a wrong checksum, one of MJPEG of which libjpeg or FFmpeg has to guess a part, and those of
-    H.264 after a missing frame; FFmpeg tells of none but in its log. Of H.265, None comes in the place of each picture,
-    too, that the decoder has left out since the first key frame. With `losses`, damaged are also the pictures from a
+    H.264 after a missing frame; FFmpeg tells of none but in its log. Of H.264 and H.265, None also comes for each
+    picture that the decoder leaves out, with the next key frame. With `losses`, damaged are also the pictures from a
     packet on in whose part of the file something is lost; as this is known exactly, the next key frame ends it.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
@@ -106,7 +106,7 @@ def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) 
     numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
     damaged, broken, key, latest = -math.inf, -math.inf, -math.inf, -1  # numbers of packets
     first_keys: set[int] = set()
-    unshown = _Unshown(codec.extradata) if codec.name == "hevc" else None
+    unshown = Unshown(codec.name, codec.extradata)
     for number, (packet, is_broken) in enumerate(with_losses(_packets(container, stream), losses)):
         packet.opaque = number
         if is_broken:
@@ -121,7 +121,8 @@ def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) 
             damaged = number
         if codec.name == "mjpeg" and packet.size and is_damaged_mjpeg(bytes(packet), MAX_SIDE_PX**2):
             damaged = number
-        if unshown is not None and first_keys and packet.size and not packet.is_discard:
+        # Two fields are one picture.
+        if packet.size and not packet.is_discard and not (numbers is not None and numbers.is_field):
             unshown.await_picture(number, bytes(packet))
         try:
             pictures = packet.decode()
@@ -137,11 +138,10 @@ def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) 
             if picture.key_frame or (key < 0 and origin in first_keys):  # some decoders mark no picture
                 key = origin
             latest = max(latest, origin)
-            if unshown is not None:
-                for _ in unshown.lost_before(origin, is_key=key == origin):
-                    yield None, True
+            for _ in unshown.lost_before(origin, is_key=key == origin):
+                yield None, True
             yield picture, damaged >= key - 1 or broken >= key
-    if unshown is not None and unshown.numbers:
+    if unshown.numbers:
         for _ in unshown.numbers:
             yield None, True
     elif max(damaged, broken) > latest:
@@ -176,53 +176,6 @@ def _leniently_decoded(codec: Any, packet: Any) -> list[Any]:
         return list(lenient.decode(packet))
     except FFmpegError:
         return []
-
-
-class _Unshown:
-    """Which packets of H.265 have given no picture: its decoder leaves out, in silence, what lacks others.
-
-    Attributes:
-        numbers: The packets that are waited for, and may still come.
-    """
-
-    _LEADING = (8, 9)  # pictures that cannot be decoded where a stream begins with the key frame behind them (RASL)
-    _PICTURES = 32  # below, types of units are those of pictures
-    _MOST = 64  # packets; a decoder holds back 16 pictures. Source: Rec. ITU-T H.265, annex A.4
-
-    def __init__(self, extradata: bytes | None) -> None:
-        # In MP4 and Matroska, units have a length before them. Source: ISO/IEC 14496-15, section 8.3.3.
-        is_measured = extradata is not None and len(extradata) > 22 and extradata[0] == 1
-        self._length_bytes = (extradata[21] & 3) + 1 if is_measured and extradata is not None else 0
-        self.numbers: list[int] = []
-
-    def await_picture(self, number: int, data: bytes) -> None:
-        """Waits for the picture of this packet, unless it has none that must be shown."""
-        kind = next((kind for kind in self._kinds(data) if kind < self._PICTURES), None)
-        if kind is not None and kind not in self._LEADING:
-            self.numbers.append(number)
-
-    def lost_before(self, origin: int, *, is_key: bool) -> list[int]:
-        """The packets that will give no picture any more, now that packet `origin` has given one.
-
-        All pictures are shown before a key frame that come before it. Source: Rec. ITU-T H.265, section 8.1.3.
-        """
-        if origin in self.numbers:
-            self.numbers.remove(origin)
-        lost = [each for each in self.numbers if each < origin] if is_key else self.numbers[: -self._MOST]
-        self.numbers = self.numbers[len(lost) :]
-        return lost
-
-    def _kinds(self, data: bytes) -> Iterator[int]:
-        """Types of the packet's units. Source: Rec. ITU-T H.265, section 7.3.1.2."""
-        if not self._length_bytes:
-            for match in re.finditer(rb"\x00\x00\x01(.)", data, re.DOTALL):
-                yield match[1][0] >> 1 & 0x3F
-            return
-        position = 0
-        while position + self._length_bytes < len(data):
-            start = position + self._length_bytes
-            yield data[start] >> 1 & 0x3F
-            position = start + int.from_bytes(data[position:start], "big")
 
 
 class _Ffv1Checksums:

@@ -23,21 +23,30 @@ _MAX_BITS = 16
 
 
 class _Numbering(NamedTuple):
-    """How frames are numbered: bits of a number, whether numbers may be left out, bits before it for its plane."""
+    """How frames are numbered: bits of a number, whether numbers may be left out, bits before it for its plane.
+
+    And whether a frame may be two pictures, of every other row each, which follow one another.
+    """
 
     num_bits: int
     has_gaps: bool
     plane_bits: int
+    has_fields: bool
 
 
 class H264Numbers:
-    """Follows the numbers (`frame_num`, 7.4.3) from packet to packet."""
+    """Follows the numbers (`frame_num`, 7.4.3) from packet to packet.
+
+    Attributes:
+        is_field: Whether the latest packet began with one half of a frame, of every other row, instead of a frame.
+    """
 
     def __init__(self, extradata: bytes | None) -> None:
         """Begins with the parameters that a container keeps apart; None or empty where they are in the stream."""
         self._length_bytes = 0  # before each unit, in place of a start code
         self._numbering: _Numbering | None = None
         self._latest: int | None = None
+        self.is_field = False
         extradata = extradata or b""
         if extradata[:1] == b"\x01" and len(extradata) > 8:
             self._length_bytes = (extradata[4] & 3) + 1
@@ -51,6 +60,7 @@ class H264Numbers:
         return self._take(data)
 
     def _take(self, data: bytes) -> bool:
+        self.is_field = False
         for unit in self._units(data):
             kind = unit[0] & 31 if unit else 0
             if kind == _SPS:
@@ -90,6 +100,7 @@ class H264Numbers:
                 bits.unsigned()
             bits.number(numbering.plane_bits)
             number = bits.number(numbering.num_bits)
+            self.is_field = numbering.has_fields and bool(bits.number(1))
         except IndexError:
             return False
         if head[0] & 0x60:  # other pictures may refer to it
@@ -159,7 +170,10 @@ def _numbering(bits: _Bits) -> _Numbering:
     bits.unsigned()
     if num_bits > _MAX_BITS:
         raise IndexError
-    return _Numbering(num_bits, bool(bits.number(1)), plane_bits)
+    has_gaps = bool(bits.number(1))
+    bits.unsigned()
+    bits.unsigned()
+    return _Numbering(num_bits, has_gaps, plane_bits, has_fields=not bits.number(1))
 
 
 def _skip_scaling_list(bits: _Bits, size: int) -> None:

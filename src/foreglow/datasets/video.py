@@ -126,7 +126,7 @@ class Video(FileSource):
         """All frames, up to where the container cannot be read."""
         from av.error import FFmpegError
 
-        index, latest, sequence, reached_ns = -1, (0, 0), "", 0
+        index, latest, sequence, reached_ns, has_begun = -1, (0, 0), "", 0, False
         try:
             with self._opened() as (container, stream):
                 whole = _Whole(container)
@@ -151,7 +151,14 @@ class Video(FileSource):
                         self._refuse(f"{self.path}: frame {index}: {expected}, got {timestamp_ns / 1e9:.6g} s")
                         continue
                     latest = index, timestamp_ns
-                    frame = self._frame(index, picture, timestamp_ns, is_damaged=is_damaged)
+                    try:
+                        frame = self._frame(index, picture, timestamp_ns, is_damaged=is_damaged)
+                    except ValueError as error:
+                        if not has_begun:
+                            raise
+                        self._refuse(str(error))  # damage can change what one frame says of how it is shown
+                        continue
+                    has_begun = True
                     yield dataclasses.replace(frame, sequence=sequence)
         except FFmpegError as error:
             self._lose(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
