@@ -18,7 +18,8 @@ constexpr std::size_t num_at_once = 1 << 15;  // samples are counted at once, so
 constexpr std::int64_t rarely_filled = 20;  // less than one bright sample of so many says nothing
 constexpr double filled_share = 0.9;        // of the samples of one level, so many are as before where it is a filling
 constexpr std::uint16_t long_images = 36;   // a sample that is as before in so many images has not changed for long
-constexpr std::int64_t rare = 1000;       // one block of so many changes more than the strongest change
+constexpr std::int64_t rare = 1000;  // one block of so many changes more than the strongest change
+constexpr std::int64_t border_share = 8;  // of the rows, at the top and at the bottom, where a recorder writes the time
 constexpr std::int64_t max_pieces = 8;    // of a row, to see whether one is flat
 constexpr std::int64_t num_columns = 160; // about so many are compared from row to row
 
@@ -379,8 +380,10 @@ bool ImageComparer::compare(const ImageView& image, std::int32_t top, ImageChang
         change.tiles[static_cast<std::size_t>(tile)] =
             num_samples ? static_cast<double>(num_changed) / static_cast<double>(num_samples) : 1.0;
     }
-    std::vector<std::uint32_t> strongest(changes_.size() / rare + 1);
-    std::partial_sort_copy(changes_.begin(), changes_.end(), strongest.begin(), strongest.end(), std::greater<>());
+    const std::int64_t margin = grid.num_down / border_share * grid.num_across;
+    std::vector<std::uint32_t> strongest((changes_.size() - 2 * static_cast<std::size_t>(margin)) / rare + 1);
+    std::partial_sort_copy(changes_.begin() + margin, changes_.end() - margin, strongest.begin(), strongest.end(),
+                           std::greater<>());
     change.strongest = strongest.back() * mean_levels;
     const std::int32_t limit = edge_levels * square_px * top / top_level;
     std::int64_t counts[2] = {0, 0};  // the first line of either direction is half a square off the grid

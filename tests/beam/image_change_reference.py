@@ -12,6 +12,7 @@ BLOCK_PX, SQUARE_PX, NUM_TILES, ROW_STEP = 8, 16, 8, 7
 EDGE_LEVELS, RARE = 10, 1000
 FILLED_SHARE, RARELY_FILLED = 0.9, 20
 NUM_PIECES, NUM_COLUMNS = 8, 160
+BORDER_SHARE = 8
 
 
 def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[str, Any]:
@@ -22,6 +23,7 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
     num_down, num_across = now.shape[0] // height, now.shape[1] // width
     blocks = wide[: num_down * height, : num_across * width].reshape(num_down, height, num_across, width)
     changes = np.abs(blocks.sum(axis=(1, 3))) * (1.0 / (unit * height * width))
+    middle = changes[num_down // BORDER_SHARE : num_down - num_down // BORDER_SHARE]
     is_changed = samples_of(before) != samples_of(now)
     down, across = np.arange(num_down) * NUM_TILES // num_down, np.arange(num_across) * NUM_TILES // num_across
     tiles = np.ones((NUM_TILES, NUM_TILES))
@@ -32,7 +34,7 @@ def reference_change(before: NDArray[Any], now: NDArray[Any], top: int) -> dict[
     )
     rows = now[ROW_STEP // 2 : now.shape[0] - 1 : ROW_STEP], now[ROW_STEP // 2 + 1 :: ROW_STEP]
     return {
-        "strongest": np.sort(changes, axis=None)[-1 - changes.size // RARE],
+        "strongest": np.sort(middle, axis=None)[-1 - middle.size // RARE],
         "tiles": tiles,
         "num_samples": changes.size,
         "num_changed": np.count_nonzero(is_changed),

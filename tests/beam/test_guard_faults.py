@@ -164,12 +164,11 @@ def test_images_of_any_size(size: tuple[int, int]) -> None:
     assert_low(next_check(running(), frame, tracks_of([AHEAD], [50.0])), GuardFault.RESIZED, GuardFault.BLACK)
 
 
-def test_any_sampled_part_of_the_image_is_looked_at() -> None:
-    """A frozen camera is none where one block of the image moves."""
+def test_a_camera_is_not_frozen_where_one_block_of_the_image_moves() -> None:
     guard = running()
     for number in range(25, 29):
         image = IMAGES[0].copy()
-        image[-64:, -64:] = 9 * number
+        image[448:512, -64:] = 9 * number
         assert GuardFault.FROZEN not in next_check(guard, frame_at(number, image=image)).faults
 
 

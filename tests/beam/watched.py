@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from foreglow.datasets import open_source, shipped_drive
@@ -27,3 +28,14 @@ def part_of_an_old_image(images: Sequence[Image], old: Image, part: float) -> li
     for image in stuck:
         image[:, : round(part * image.shape[1])] = old[:, : round(part * image.shape[1])]
     return stuck
+
+
+def with_clock(images: Sequence[Image], *, is_at_top: bool = False) -> list[Image]:
+    """The images with what a recorder writes into them: the time to the millisecond, and a speed."""
+    written = [image.copy() for image in images]
+    for number, image in enumerate(written):
+        size = image.shape[0] / 640
+        row = round(image.shape[0] * (0.06 if is_at_top else 0.98))
+        text = f"2026-11-26 22:14:{number // 18:02d}.{number % 18 * 55:03d} {80 + number // 6 % 5} km/h"
+        cv2.putText(image, text, (10, row), cv2.FONT_HERSHEY_SIMPLEX, size, 255, max(1, round(2 * size)))
+    return written

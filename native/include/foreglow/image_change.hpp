@@ -15,7 +15,7 @@ constexpr std::int64_t num_change_tiles = 8;
 
 // Changes are in grey levels, of which the greatest value of a pixel has 255.
 struct ImageChange {
-    double strongest = 0.0;  // change of the mean that one block of 1,000 exceeds
+    double strongest = 0.0;  // change of the mean that one block of 1,000 exceeds, but for the outer eighths of the rows
     std::int64_t num_samples = 0, num_changed = 0;    // pixels compared one by one, and those that are not as before
     std::int64_t num_bright = 0;  // samples that were bright three references ago
     // Share of the samples that do not change at all, as estimated from those that changed now, before and both times;

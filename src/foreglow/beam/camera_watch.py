@@ -10,7 +10,7 @@ import numpy as np
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage
-from foreglow.beam.image_pieces import DARK, NEAR_TOP, ImagePieces
+from foreglow.beam.image_pieces import DARK, NEAR_TOP, ImagePieces, middle
 from foreglow.beam.known_images import KnownImages
 from foreglow.config import GuardConfig
 from foreglow.types import Image
@@ -105,9 +105,9 @@ class CameraWatch:
             faults.append(GuardFault.RESIZED)
         step = _prime(math.isqrt(image.size // NUM_SAMPLES))
         row, column = (min(step // 2, side - 1) for side in image.shape)
-        sample = image[row::step, column::step].ravel()
-        brightest = int(sample.max())
-        self._brightest = max(self._brightest, brightest)
+        grid = image[row::step, column::step]
+        sample, brightest = grid.ravel(), int(grid[middle(len(grid))].max())
+        self._brightest = max(self._brightest, int(sample.max()))
         white = self._config.white_level
         top = white or _top(image, self._brightest)
         num_white = np.count_nonzero(sample >= NEAR_TOP * top)

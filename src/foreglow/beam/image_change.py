@@ -26,7 +26,8 @@ class ImageChange:
     """What differs between two images, in grey levels, of which the greatest value of a pixel has 255.
 
     Attributes:
-        strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds.
+        strongest: Change of the mean that one block of 8x8 pixels in 1,000 exceeds, of those in the middle of the image
+            (`image_pieces.BORDER_SHARE`).
         share_changed: Share of the sampled pixels, one of each block, that are not the same as before.
         num_bright: Of the same samples, those that were bright some images ago.
         share_stuck: Estimated share of the samples that do not change at all, while new noise changes a share of the

@@ -18,6 +18,10 @@ from foreglow.types import Image
 
 PIECE_PX = 16
 
+BORDER_SHARE = 8
+"""One of so many rows, at the top and at the bottom each, is left out where an image is judged as a whole: there
+recorders write time, speed and names into the image, also into that of a covered or frozen camera."""
+
 NOISE_RATIO = 7.0
 """Where the strong changes are less than so many times the median change, noise alone has changed the image. Measured:
 a still picture under noise of 1 to 10 grey levels 3.5 to 6.3, also behind MJPEG, but above 7 behind H.264; the drive
@@ -62,7 +66,8 @@ class PieceMeasures:
     Attributes:
         contrast: The difference of the brightest and the darkest piece, in shares of the greatest value.
         noise: Standard deviation of the noise of a piece's mean, by how much neighbouring pieces differ in the median.
-        is_noise: Whether noise alone has changed since the image before.
+        is_noise: Whether noise alone has changed since the image before, at least in the `middle` rows, of which the
+            other two are.
         share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
         share_wild: Share of those that do so by several times as much: no camera's noise is so strong.
         share_filled: Share of these pieces of which all pixels have one value, neither dark nor white.
@@ -99,17 +104,11 @@ class ImagePieces:
         width_px = rows.shape[1] // piece_px * piece_px
         means = rows[:, :width_px].reshape(len(rows), -1, piece_px).mean(axis=2) / top
         before, self._before = self._before, means
-        is_noise = False
-        if before.shape == means.shape:
-            changes = (means - before).ravel()
-            drift = abs(np.median(changes))
-            changes = np.abs(changes)
-            middle, strong = changes.size // 2, int((1.0 - STRONG_SHARE) * (changes.size - 1))
-            changes.partition((middle, strong))
-            is_noise = bool(
-                changes[middle] > max(LEAST_NOISE, DRIFT_RATIO * drift)
-                and changes[strong] < NOISE_RATIO * changes[middle]
-            )
+        inner = middle(len(rows))
+        is_noise = before.shape == means.shape and (
+            _is_noise(means - before) or _is_noise(means[inner] - before[inner])
+        )
+        means = means[inner]
         share_rough, share_wild, share_filled = _shares_of_steps(rows, top)
         return PieceMeasures(
             contrast=float(means.max() - means.min()),
@@ -120,6 +119,22 @@ class ImagePieces:
             share_filled=share_filled,
             share_twice=_share_twice(rows, top),
         )
+
+
+def _is_noise(changes: Floats) -> bool:
+    """Whether the means of the pieces have changed as noise changes them."""
+    drift = abs(np.median(changes))
+    changes = np.abs(changes).ravel()
+    half, strong = changes.size // 2, int((1.0 - STRONG_SHARE) * (changes.size - 1))
+    changes.partition((half, strong))
+    is_new = changes[half] > max(LEAST_NOISE, DRIFT_RATIO * drift)
+    return bool(is_new and changes[strong] < NOISE_RATIO * changes[half])
+
+
+def middle(num_rows: int) -> slice:
+    """Which of an image's rows are not of its border."""
+    num_left_out = num_rows // BORDER_SHARE
+    return slice(num_left_out, num_rows - num_left_out)
 
 
 def _noise(means: Floats) -> float:

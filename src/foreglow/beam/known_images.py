@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.beam.image_pieces import middle
 from foreglow.types import Image
 
 NUM_KNOWN = 36
@@ -33,7 +34,7 @@ class KnownParts:
     Attributes:
         share: Share of the pieces that recent images had at the same place, without those of a single value.
         share_earlier: The same, but for the pieces that are those of the image just before, as an encoder leaves them.
-        is_repeated: Whether the whole image was there before.
+        is_repeated: Whether the whole image was there before, but for what is written into its border.
         is_back: Whether it was, and another one came between.
     """
 
@@ -63,7 +64,7 @@ class KnownImages:
         if sums.shape != self._sums.shape[1:]:
             self._known.clear()
             self._sums = np.zeros((NUM_KNOWN, *sums.shape), np.uint64)
-        before, self._latest = self._latest, sums.tobytes()
+        before, self._latest = self._latest, sums[middle(len(sums))].tobytes()
         if self._latest in self._known:
             self._place = self._known[self._latest]
             share, is_other = float(_is_uneven(words, starts).mean()), self._latest != before
