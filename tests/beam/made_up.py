@@ -64,7 +64,7 @@ def noisy_image(seed: int) -> Image:
     """A dark image of noise, with a light that is elsewhere for each seed, off the grid of encoders."""
     image = np.random.default_rng(seed).integers(10, 35, (960, 1280), np.uint8)
     column = 101 + 370 * seed % 1000
-    image[401:481, column : column + 80] = 200
+    image[401:561, column : column + 160] = 200
     return image
 
 

@@ -51,6 +51,24 @@ def test_a_camera_that_is_covered_from_the_first_image_on(drive: list[Image], co
     assert all(GuardFault.BLACK in found for found in faults_of(as_coded(shown, CODINGS[coding])))
 
 
+@pytest.mark.parametrize("spot", ["reflection", "name", "hot row", "hot column"])
+@pytest.mark.parametrize("coding", ["raw", "MJPEG"])
+def test_a_bright_spot_is_no_sight(drive: list[Image], spot: str, coding: str) -> None:
+    """Behind a covered lens, of which speed and picture do not say that it stands still."""
+    place = {
+        "reflection": np.s_[150:159, 200:209],
+        "name": np.s_[100:110, 40:80],
+        "hot row": np.s_[119:120, :],
+        "hot column": np.s_[:, 77:78],
+    }[spot]
+    later = wrong_images("covered", drive[0])
+    for image in later:
+        image[place] = 255
+    faults = faults_of(as_coded([*drive[:NUM_GOOD], *later], CODINGS[coding]), is_moving=None)
+    assert not any(faults[:NUM_GOOD])
+    assert all(faults[NUM_GOOD + 1 :])
+
+
 @pytest.mark.parametrize("coding", list(CODINGS))
 def test_a_clock_alone_is_no_fault(drive: list[Image], coding: str) -> None:
     assert not any(faults_of(as_coded(with_clock(drive), CODINGS[coding])))

@@ -22,6 +22,9 @@ BORDER_SHARE = 8
 """One of so many rows, at the top and at the bottom each, is left out where an image is judged as a whole: there
 recorders write time, speed and names into the image, also into that of a covered or frozen camera."""
 
+SPOT_SHARE = 0.01
+"""An image of which less than this share differs from the rest shows nothing: a reflection, a name, hot pixels."""
+
 NOISE_RATIO = 7.0
 """Where the strong changes are less than so many times the median change, noise alone has changed the image. Measured:
 a still picture under noise of 1 to 10 grey levels 3.5 to 6.3, also behind MJPEG, but above 7 behind H.264; the drive
@@ -64,7 +67,8 @@ class PieceMeasures:
     """What the pieces of an image say.
 
     Attributes:
-        contrast: The difference of the brightest and the darkest piece, in shares of the greatest value.
+        contrast: The difference of the brightest and the darkest piece, in shares of the greatest value, but for one in
+            a hundred at either end (`SPOT_SHARE`).
         noise: Standard deviation of the noise of a piece's mean, by how much neighbouring pieces differ in the median.
         is_noise: Whether noise alone has changed since the image before, at least in the `middle` rows, of which the
             other two are.
@@ -111,7 +115,7 @@ class ImagePieces:
         means = means[inner]
         share_rough, share_wild, share_filled = _shares_of_steps(rows, top)
         return PieceMeasures(
-            contrast=float(means.max() - means.min()),
+            contrast=_contrast(means.ravel()),
             noise=_noise(means),
             is_noise=is_noise,
             share_rough=share_rough,
@@ -135,6 +139,13 @@ def middle(num_rows: int) -> slice:
     """Which of an image's rows are not of its border."""
     num_left_out = num_rows // BORDER_SHARE
     return slice(num_left_out, num_rows - num_left_out)
+
+
+def _contrast(means: Floats) -> float:
+    num_left_out = int(SPOT_SHARE * means.size)
+    ends = (num_left_out, means.size - 1 - num_left_out)
+    darkest, brightest = np.partition(means, ends)[list(ends)]
+    return float(brightest - darkest)
 
 
 def _noise(means: Floats) -> float:
