@@ -243,7 +243,7 @@ def with_pace(pair: str, unit: str) -> str:
             ("mph", 0.44704),
             ("knots", 0.514444),
         ),
-        *(("", 1.0), ("Unit_KiloMeterPerHour", 1 / 3.6), ("cm/s", 0.01)),
+        *(("Unit_KiloMeterPerHour", 1 / 3.6), ("cm/s", 0.01)),
     ],
 )
 def test_without_a_factor_the_unit_of_the_dbc_counts(tmp_path: Path, unit: str, factor: float) -> None:
@@ -263,11 +263,24 @@ def test_a_factor_that_contradicts_the_unit_is_refused(tmp_path: Path) -> None:
     ):
         decoder_of(tmp_path, DBC.replace('"deg/s"', '"\u00b0/s"'), MAPPING.replace("0.017453292519943295", "0.02"))
     decoder_of(tmp_path, DBC, MAPPING.replace("0.017453292519943295", "-0.0175"))  # positive to the right
-    decoder_of(tmp_path, with_pace("[0|300]", "furlongs"))
-    with pytest.raises(
-        ValueError, match=r"speed\.factor: expected a factor, as the unit 'furlongs' of .* is none of m/s"
-    ):
-        decoder_of(tmp_path, with_pace("[0|300]", "furlongs"), MAPPING.replace("factor = 0.2777777777777778\n", ""))
+
+
+@pytest.mark.parametrize(("unit", "stated"), [("furlongs", "is in 'furlongs', none of m/s"), ("", "has no unit in")])
+def test_without_a_unit_that_is_known_a_factor_is_needed(tmp_path: Path, unit: str, stated: str) -> None:
+    decoder_of(tmp_path, with_pace("[0|300]", unit))
+    with pytest.raises(ValueError, match=rf"speed\.factor: expected a factor to m/s, as .*car\.dbc: .* {stated}"):
+        decoder_of(tmp_path, with_pace("[0|300]", unit), MAPPING.replace("factor = 0.2777777777777778\n", ""))
+
+
+def test_a_number_is_not_its_own_sign(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"speed\.is_negative: expected another signal than 'Pace'"):
+        decoder_of(tmp_path, DBC, MAPPING.replace('signal = "Pace"\n', 'signal = "Pace"\nis_negative = "Pace"\n'))
+
+
+def test_signals_that_cannot_be_decoded_are_the_fault_of_the_dbc(tmp_path: Path) -> None:
+    overlapping = re.sub(r"( SG_ Turn : )\d+\|", r"\g<1>8|", DBC)
+    with pytest.raises(ValueError, match=r"car\.dbc: Dynamics: expected signals that can be decoded"):
+        decoder_of(tmp_path, overlapping)
 
 
 def test_reports_of_the_production_system_count_for_half_a_second(tmp_path: Path) -> None:

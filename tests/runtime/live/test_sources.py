@@ -158,6 +158,8 @@ def test_camera_that_is_not_there() -> None:
     for device in ("x", "12345", "", "video0"):
         with pytest.raises(ValueError, match=f"camera:{device}: expected a number, or a path"):
             open_live(f"camera:{device}", CameraOptions())
+    with pytest.raises(ValueError, match="gstreamer: expected a pipeline that ends in an appsink, got none"):
+        open_live("gstreamer: ", CameraOptions())
 
 
 def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:

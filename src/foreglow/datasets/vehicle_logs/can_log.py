@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 import threading
@@ -185,6 +186,8 @@ def read_dbc(path: Path) -> dict[str, Message]:
     """
     import cantools
 
+    # Python prints warnings of a library for which nobody listens; what they say is checked below.
+    logging.getLogger("cantools").addHandler(logging.NullHandler())
     text = read_text(path, MAX_DBC_BYTES, "cp1252", "replace")
     _check_dbc(text, str(path))
     try:
@@ -274,6 +277,7 @@ class CanDecoder:
                     )
                 _check_signal(signals[name_in_dbc], f"{dbc}: {message.name}: {name_in_dbc}")
             _check_lengths(message, str(dbc))
+            _check_decoding(message, str(dbc))
             key = message.frame_id, message.is_extended_frame
             first, own = self._sections.setdefault(key, (message, []))
             if first.name != message.name:
@@ -348,6 +352,17 @@ def _check_lengths(message: Message, origin: str) -> None:
             raise ValueError(
                 f"{origin}: {message.name}: {signal.name}: expected an end within {message.length} bytes, got bit {end}"
             )
+
+
+def _check_decoding(message: Message, origin: str) -> None:
+    """ValueError if no frame could be decoded, such as where signals lie on one another in a way that cannot be."""
+    import cantools
+
+    try:
+        message.decode(bytes(message.length), decode_choices=False)
+    except cantools.Error as error:
+        if not message.is_multiplexed():
+            raise ValueError(f"{origin}: {message.name}: expected signals that can be decoded: {error}") from None
 
 
 def _decoded(message: Message, data: bytes, where: str, quantities: frozenset[str]) -> dict[str, float]:

@@ -52,7 +52,7 @@ _ASC_FRAME = re.compile(  # time, channel, identifier, direction, kind: of other
 )
 """What is a frame of an .asc with a time, channel or identifier that cannot be read, which python-can passes over."""
 
-_ASC_LENGTH = re.compile(r"\s*\S+\s+\d+\s+\S+\s+\S+\s+d\s+(\S+)", re.IGNORECASE)
+_ASC_DATA = re.compile(r"\s*\S+\s+\d+\s+\S+\s+\S+\s+d\s+(\S+)\s*(.*)", re.IGNORECASE)  # length and bytes
 _MAX_DLC = 15  # of four bits; above 8 it means 8 bytes without CAN FD
 _BLF_CONTAINER = 10
 _FILE_HEAD = 24  # bytes: signature, size of the header, versions, size of the file
@@ -147,9 +147,13 @@ def _has_its_bytes(frame: can.Message, line: str, base: str) -> bool:
     """Whether a frame of an .asc has a length that can be, and as many bytes; python-can takes any."""
     if frame.is_error_frame or frame.is_remote_frame:
         return True
-    found = _ASC_LENGTH.match(line)
-    if found is not None and not frame.is_fd and not 0 <= int(found[1], 10 if base == "dec" else 16) <= _MAX_DLC:
-        return False
+    found = _ASC_DATA.match(line)
+    if found is not None and not frame.is_fd:
+        longest = 3 if base == "dec" else 2
+        if not 0 <= int(found[1], 10 if base == "dec" else 16) <= _MAX_DLC:
+            return False
+        if any(len(byte) > longest for byte in found[2].split()[: len(frame.data)]):
+            return False
     return 0 <= (frame.dlc if frame.is_fd else min(frame.dlc, 8)) <= len(frame.data) <= 64
 
 

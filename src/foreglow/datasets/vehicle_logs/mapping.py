@@ -131,7 +131,7 @@ class NumberSignal(Section):
     Attributes:
         signal: Name of its signal.
         factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees. None: that of the DBC's
-            unit, or 1 where it states none.
+            unit.
         is_negative: 1 where the number is negative; None if it has a sign.
     """
 
@@ -143,6 +143,8 @@ class NumberSignal(Section):
     def _check(self) -> NumberSignal:
         if self.factor == 0:
             raise ValueError("factor: expected a number other than 0, which makes every value 0")
+        if self.is_negative == self.signal:
+            raise ValueError(f"is_negative: expected another signal than {self.signal!r}, whose number it gives a sign")
         return self
 
 

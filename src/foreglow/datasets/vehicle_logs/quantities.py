@@ -64,7 +64,7 @@ _NUMBER = re.compile(r"\s*[-+]?\d+([.,]\d+)?\s*[^\s\d]{0,12}\s*")
 
 
 def factor_of(quantity: str, signal: Signal, given: float | None, names: tuple[str, str]) -> float:
-    """From the signal's unit to ours: by the DBC, or where it has no unit, as the mapping says, else 1.
+    """From the signal's unit to ours: by the DBC, or where that says no unit that is known, by the mapping.
 
     Args:
         quantity: One of `FACTORS`.
@@ -78,13 +78,12 @@ def factor_of(quantity: str, signal: Signal, given: float | None, names: tuple[s
     written = (signal.unit or "").strip()
     unit = written.lower().replace(" ", "")
     known = FACTORS[quantity].get(_ALIKE.get(unit, unit))
-    if known is None and (given is not None or not unit):
-        return 1.0 if given is None else given
+    if known is None and given is not None:
+        return given
     if known is None:
-        raise ValueError(
-            f"{names[0]}: expected a factor, as the unit {written[:40]!r} of {names[1]} is none of "
-            f"{', '.join(FACTORS[quantity])}, got none"
-        )
+        stated = f"is in {written[:40]!r}, none of {', '.join(FACTORS[quantity])}" if written else "has no unit"
+        ours = next(iter(FACTORS[quantity]))
+        raise ValueError(f"{names[0]}: expected a factor to {ours}, as {names[1]} {stated} in the DBC, got none")
     if given is not None and abs(abs(given) - known) > _TOLERANCE * known:
         raise ValueError(
             f"{names[0]}: expected {known:.7g} or none, as {names[1]} is in {written[:40]}, got {given:g}; if the "

@@ -146,7 +146,13 @@ def open_v4l2(device: str, options: CameraOptions) -> CaptureCamera:
 
 
 def open_gstreamer(pipeline: str, options: CameraOptions) -> CaptureCamera:
-    """A GStreamer pipeline that ends in an appsink."""
+    """A GStreamer pipeline that ends in an appsink.
+
+    Raises:
+        ValueError: If it is empty.
+    """
+    if not pipeline.strip():
+        raise ValueError("gstreamer: expected a pipeline that ends in an appsink, got none")
     return CaptureCamera(f"gstreamer:{pipeline}", pipeline, cv2.CAP_GSTREAMER, options)
 
 
