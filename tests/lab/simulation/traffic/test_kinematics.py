@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from foreglow.lab.simulation.traffic.kinematics import (
     BodyMotion,
     driving_direction,
     ego_state,
+    lateral_m,
     vehicle_state,
 )
 from foreglow.lab.simulation.world.road import Road, branch_road, interpolated
@@ -64,6 +67,15 @@ def test_a_parked_car_stands() -> None:
     states = [vehicle_state(car, STRAIGHT, (), 2.7, time) for time in (0.0, 9.0)]
     assert np.allclose(states[0].pose.position_m, states[1].pose.position_m)
     assert states[0].speed_mps == 0.0
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("road", [RoadSpec(lane_width_m=2.8), RoadSpec(), RoadSpec(shoulders_m=(0.0, 2.2))])
+def test_nobody_drives_through_a_parked_vehicle(road: RoadSpec, side: Literal["left", "right"]) -> None:
+    parked = lateral_m(VehicleSpec(lane="parked_left" if side == "left" else "parked_right"), road)
+    passing = lateral_m(VehicleSpec(lane="oncoming" if side == "left" else "own"), road)
+    assert abs(parked) - abs(passing) >= 1.25 + 0.95
+    assert np.sign(parked) == np.sign(passing)
 
 
 def test_a_car_on_a_side_road_comes_to_ours() -> None:

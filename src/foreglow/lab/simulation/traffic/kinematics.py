@@ -19,6 +19,10 @@ PITCH_DEG, ROLL_DEG, HEAVE_M = 0.12, 0.10, 0.008
 
 NUM_WAVES = 12
 
+PARKED_FROM_LANE_M = 2.45
+"""From the middle of our lane to that of a parked vehicle, at least: half of a lorry, half of our car, 0.25 m. Where
+the road ends before, it stands on the pavement with its outer wheels."""
+
 STRAY_WAVE_M = 150.0
 """Way in which a driver who strays is back: about 7 s at 80 km/h."""
 
@@ -104,11 +108,12 @@ def lateral_m(vehicle: VehicleSpec, road: RoadSpec) -> float:
     if vehicle.lateral_m is not None:
         return vehicle.lateral_m
     lane = road.mirror * road.lane_m(vehicle.lane_number)
+    parked = max(road.half_width_m - 0.9, road.lane_m() + PARKED_FROM_LANE_M)
     offsets: dict[str, float] = {
         "own": -lane,
         "oncoming": lane,
-        "parked_left": road.half_width_m - 0.9,
-        "parked_right": -road.half_width_m + 0.9,
+        "parked_left": parked,
+        "parked_right": -parked,
         "branch": lane if vehicle.is_towards else -lane,
     }
     return offsets[vehicle.lane]
