@@ -236,8 +236,8 @@ def check_kinds(files: Mapping[str, Path], kinds: Mapping[str, FileKind]) -> Non
             raise ValueError(f"{name} {path}: expected a file whose name ends with {' or '.join(kind.suffixes)}")
         if not kind.may_replace(path):
             raise ValueError(
-                f"{name} {path}: expected nothing there but {kind.words} that this command wrote; choose another name, "
-                "or remove it"
+                f"{name} {path}: expected nothing there but {kind.words} that Foreglow wrote; choose another name, or "
+                "remove it"
             )
 
 
