@@ -201,7 +201,7 @@ def test_values_as_json(value: Any, expected: Any) -> None:
     assert json.loads(json_text(value)) == expected
 
 
-@pytest.mark.parametrize("text", ["1_000", "1_0.5", "", "one", "1,5"])
+@pytest.mark.parametrize("text", ["1_000", "1_0.5", "", "one", "1,5", "\u0661"])
 def test_what_is_no_number(text: str) -> None:
     assert number_in(" -1.5e3\n") == -1500
     with pytest.raises(ValueError, match="could not convert"):

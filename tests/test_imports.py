@@ -18,7 +18,7 @@ SOURCE = Path(foreglow.__file__).parent
 
 VALUES = {"types", "geometry", "config", "photometry", "rays", "street"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
-BASES = {"files", "whole_files", "provenance", "parallel", "plugins", "stopwatch"}
+BASES = {"files", "whole_files", "provenance", "parallel", "plugins", "stopwatch", "own_files"}
 CAR = VALUES | STAGES | BASES | {"calibration", "maps", "_native", "pipeline", "datasets", "runs", "runtime", "display"}
 LAB = {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports", "lab.studies"}
 
@@ -43,19 +43,20 @@ ALLOWED: dict[str, set[str]] = {
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
     "classifier": VALUES | {"models", "_native", "files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
-    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "folder_lock", "protobuf"},
-    "runs": VALUES | {"calibration", "files", "whole_files", "folder_lock", "outputs", "provenance", "datasets"},
+    "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "folder_lock", "own_files", "protobuf"},
+    "runs": VALUES
+    | {"own_files", "calibration", "files", "whole_files", "folder_lock", "outputs", "provenance", "datasets"},
     "runtime": VALUES
     | STAGES
     | BASES
     | {"calibration", "maps", "folder_lock", "outputs", "pipeline", "datasets", "runs"},
-    "display": VALUES | {"files", "whole_files", "plugins", "datasets", "runs", "runtime"},
+    "display": VALUES | {"own_files", "files", "whole_files", "plugins", "datasets", "runs", "runtime"},
     "folder_lock": set(),
     "own_files": set(),
     "outputs": {"files", "whole_files", "own_files", "datasets"},
     "inputs": {"files", "outputs"},
-    "command_line": {"files", "inputs", "folder_lock", "outputs"},
-    "options": {"command_line", "config", "beam", "datasets", "files", "outputs", "parallel", "plugins"},
+    "command_line": {"files", "inputs", "folder_lock", "outputs", "own_files"},
+    "options": {"command_line", "config", "beam", "datasets", "files", "outputs", "own_files", "parallel", "plugins"},
     "lab": set(),
     "lab.simulation": VALUES
     | BASES

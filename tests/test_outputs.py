@@ -364,7 +364,7 @@ def test_a_file_of_another_kind_is_not_overwritten(image: Path, drive: Path, tmp
 def test_a_picture_beside_a_calibration_that_is_not_there(image: Path, drive: Path) -> None:
     before = image.read_bytes()
     words = ("calibrate", "auto", drive, "--fov", 50, "--out", image.with_suffix(".toml"))
-    assert f"{image}: expected no picture there" in complaint(*words)
+    assert f"{image}: expected nothing there but a picture of a calibration" in complaint(*words)
     assert image.read_bytes() == before
 
 
@@ -394,4 +394,5 @@ def test_a_part_of_a_result_that_is_not_read(tmp_path: Path) -> None:
             (folder / name).touch()
         with pytest.raises(ValueError, match=f"--json .*{part}: expected a file that does not overwrite a part of"):
             check_outputs({}, {"--json": folder / part}, {})
-        check_outputs({}, {"--json": folder / "results.json", "--out": folder / "report.html"}, {})
+        check_outputs({}, {"--json": folder / "results.json"}, {})
+        check_outputs({"RUN": folder}, {"--out": folder / "report.html"}, {})

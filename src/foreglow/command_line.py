@@ -34,6 +34,7 @@ from typer.models import OptionInfo
 from foreglow.folder_lock import locked
 from foreglow.inputs import named_by
 from foreglow.outputs import check_kinds, check_outputs, exists, running
+from foreglow.own_files import FileKind
 
 MAX_INTEGER = 2**31 - 1
 """No count, size or seed on a command line is greater."""
@@ -86,13 +87,13 @@ def file(text: str, *names: str, metavar: str = "FILE") -> Any:
     return option(metavar, text, *names, readable=False)
 
 
-def output_file(text: str, suffixes: tuple[str, ...], *names: str, metavar: str = "FILE", **settings: Any) -> Any:
+def output_file(text: str, kind: FileKind, *names: str, metavar: str = "FILE", **settings: Any) -> Any:
     """An option with a file to write, and its help: the command may not read the same file.
 
-    Its name has to end with one of `suffixes`.
+    Its name has to end as those of its kind do, and what is there is of that kind.
     """
     made = _with_role(option(metavar, text, *names, readable=False, **settings), "output file")
-    made.suffixes = suffixes
+    made.kind = kind
     return made
 
 
@@ -158,12 +159,10 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
             for role in ("input", "output file", "output folder")
         )
         inputs |= named_by(inputs)
-        suffixes = {
-            _label(name, info[0]): info[0].suffixes for name, info in infos.items() if roles[name] == "output file"
-        }
+        kinds = {_label(name, info[0]): info[0].kind for name, info in infos.items() if roles[name] == "output file"}
         with running(_command_of(function), inputs):
             check_outputs(inputs, files, folders)
-            check_kinds(files, suffixes)
+            check_kinds(files, kinds)
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
             with contextlib.ExitStack() as around:

@@ -370,8 +370,10 @@ def number_in(text: str) -> float:
     """The number that a text is, finite or not.
 
     Raises:
-        ValueError: If it is none; 1_000, which Python alone takes for one, is none.
+        ValueError: If it is none; 1_000 and the digits of other scripts, which Python alone takes for one, are none.
     """
+    if not text.isascii():
+        raise ValueError(f"could not convert string to float: {shortened(text)}")
     return float(text.replace("_", "?"))
 
 

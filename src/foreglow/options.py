@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 from foreglow.command_line import argument, file, flag, folder, option, output_file
+from foreglow.own_files import RECORDING, VIEW
 from foreglow.plugins import raising
 
 if TYPE_CHECKING:
@@ -43,9 +44,8 @@ AUTO = Path("auto")
 
 LimitOption = Annotated[int | None, option("N", "Stop after N frames.", min=1)]
 TopicOption = Annotated[str | None, option("NAME", "Image topic to read from a recording (default: the first).")]
-RECORDING_SUFFIXES = (".mcap",)
 RECORD_HELP = "Also record everything as MCAP, for replay and for Foxglove."
-RecordOption = Annotated[Path | None, output_file(RECORD_HELP, RECORDING_SUFFIXES)]
+RecordOption = Annotated[Path | None, output_file(RECORD_HELP, RECORDING)]
 SplitOption = Annotated[str, option("train|val|test", "Split to measure on, if DATA is a whole data set.")]
 PaperModelOption = Annotated[
     Path | None,
@@ -236,7 +236,7 @@ class ViewOptions:
 
     view: Annotated[bool, flag("--view", "Show the run in a window of the Rerun viewer.")] = False
     save: Annotated[
-        Path | None, output_file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.", (".rrd",))
+        Path | None, output_file("Write what --view shows to FILE.rrd, to be opened in the Rerun viewer.", VIEW)
     ] = None
 
 

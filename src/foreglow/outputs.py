@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foreglow.own_files import is_own
+from foreglow.own_files import FileKind, is_own
 from foreglow.whole_files import PARTIAL, partial_path
 
 RESULT_NAMES = (
@@ -54,24 +54,31 @@ class FolderKind:
     Attributes:
         commands: Those that may have written it, where nothing there says which one did.
         parts: The files beside the mark that are lost if another command writes them.
+        deeper: Such files in folders of it.
         begun: Those by which an earlier one is known that may not be complete, if they hold what a command writes.
         command_keys: Where the mark, as JSON, says which command wrote it; empty if it does not.
     """
 
     commands: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
+    deeper: tuple[str, ...] = ()
     begun: tuple[str, ...] = ()
     command_keys: tuple[str, ...] = ()
 
 
 KINDS = {
-    RUN: FolderKind(("run", "beam", "live", "demo"), RESULT_NAMES, (RUN, "times.jsonl", "summary.json")),
+    RUN: FolderKind(
+        ("run", "beam", "live", "demo"),
+        RESULT_NAMES,
+        deeper=("calibration/camera.toml", "calibration/camera.png"),
+        begun=(RUN, "times.jsonl", "summary.json"),
+    ),
     TRAINING: FolderKind(
         ("train",),
         (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
-        (TRAINING, "checkpoint.pt"),
+        begun=(TRAINING, "checkpoint.pt"),
     ),
-    TUNING: FolderKind(("tune",), (TUNING, "study.journal", "summary.json"), (TUNING, "study.journal")),
+    TUNING: FolderKind(("tune",), (TUNING, "study.journal", "summary.json"), begun=(TUNING, "study.journal")),
     "study.journal": FolderKind(("tune",)),
     "plan.json": FolderKind(("experiment glare",)),
     "experiments.json": FolderKind(("reproduce",)),
@@ -168,9 +175,10 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         for other, paths in results.items():
             if any(_is_same(path, each) or _is_same(path, partial_path(each)) for each in paths):
                 raise ValueError(f"{name} {path}: expected another file than the results in {other}")
-        for mark, kind in KINDS.items():
-            if path.is_file() and path.suffix != ".html" and path.name in kind.parts and path.with_name(mark).is_file():
-                raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {path.parent}")
+        whole = _result_with(path)
+        is_page_of_input = path.suffix == ".html" and any(_is_same(path.parent, read) for read in inputs.values())
+        if whole is not None and not is_page_of_input:
+            raise ValueError(f"{name} {path}: expected a file that does not overwrite a part of {whole}")
     written = list(files.items())
     for index, (name, path) in enumerate(written):
         for other, second in written[:index]:
@@ -179,6 +187,18 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
     for name, path in files.items():
         if not any(_is_same(path.parent, folder) or _lies_below(path, folder) for folder in folders.values()):
             _check_place(name, path)
+
+
+def _result_with(path: Path) -> Path | None:
+    """The folder of results of which a file is a part, by the names of both; None if there is none, or no file."""
+    for mark, kind in KINDS.items():
+        for part in (*kind.parts, *kind.deeper):
+            names = Path(part).parts
+            if path.is_file() and path.absolute().parts[-len(names) :] == names:
+                folder = path.absolute().parents[len(names) - 1]
+                if (folder / mark).is_file():
+                    return folder
+    return None
 
 
 def _check_place(name: str, path: Path) -> None:
@@ -198,21 +218,27 @@ def _check_place(name: str, path: Path) -> None:
         raise ValueError(f"{name} {path}: No such file or directory: expected a folder {folder} that is there")
 
 
-def check_kinds(files: Mapping[str, Path], suffixes: Mapping[str, Sequence[str]]) -> None:
-    """Checks that each file is of the kind that is written, by the end of its name.
+def check_kinds(files: Mapping[str, Path], kinds: Mapping[str, FileKind]) -> None:
+    """Checks that each file is of the kind that is written, by the end of its name and by what is there.
 
-    So a video or an image that no command names is not overwritten, and `-` is no name of a file.
+    So nothing is overwritten that a user or another command made, wherever it lies, and `-` is no name of a file.
 
     Args:
         files: By option, files to write.
-        suffixes: By option, how the names of such files end.
+        kinds: By option, their kinds.
 
     Raises:
-        ValueError: If a name ends otherwise.
+        ValueError: If a name ends otherwise, or something else is there.
     """
     for name, path in files.items():
-        if path.suffix.lower() not in suffixes[name]:
-            raise ValueError(f"{name} {path}: expected a file whose name ends with {' or '.join(suffixes[name])}")
+        kind = kinds[name]
+        if path.suffix.lower() not in kind.suffixes:
+            raise ValueError(f"{name} {path}: expected a file whose name ends with {' or '.join(kind.suffixes)}")
+        if not kind.may_replace(path):
+            raise ValueError(
+                f"{name} {path}: expected nothing there but {kind.words} that Foreglow wrote; choose another name, or "
+                "remove it"
+            )
 
 
 def check_unnamed_outputs(files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:

@@ -1,15 +1,25 @@
-"""Whether a file holds what a command writes under its name, or something else that is only called so."""
+"""Whether a file holds what a command writes, or something else that only has its name, or the ending of it."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 import tomllib
+import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 MAX_LINE = 1 << 24
 """Bytes that are read of a first line; one of a run holds the boxes and tracks of an image."""
+
+MAX_HEAD = 1 << 13
+"""Bytes that are read of a file whose beginning says what it is."""
+
+_PNG_HEADER = 33
+"""Bytes of a PNG before which nothing may stand."""
 
 MAX_FILE = 1 << 26
 """Bytes of a file that is read whole; a larger one is none of ours."""
@@ -27,6 +37,51 @@ def is_own(path: Path) -> bool:
         return known(path)
     except (OSError, ValueError, RecursionError):  # the file may be anything
         return False
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """What an option writes into a single file, whose name the user chooses.
+
+    Attributes:
+        words: What it is, with its article.
+        suffixes: How the names of such files end.
+        holds: Whether the file at a path holds this, as a command wrote it; may raise what reading it raises.
+    """
+
+    words: str
+    suffixes: tuple[str, ...]
+    holds: Callable[[Path], bool]
+
+    def may_replace(self, path: Path) -> bool:
+        """Whether nothing of anybody else's is lost if such a file is written to `path`: an empty one holds nothing."""
+        if not path.is_file() or path.stat().st_size == 0:
+            return True
+        try:
+            return self.holds(path)
+        except (OSError, ValueError, RecursionError, TypeError, AttributeError):  # the file may be anything
+            return False
+
+
+def with_digest(toml: str) -> str:
+    """TOML text with a first line by which it is known as ours, until somebody changes it by hand."""
+    return f"# Written by Foreglow, {_digest(toml.encode())}: after a change by hand it is not overwritten\n{toml}"
+
+
+def named_png(png: bytes, title: str) -> bytes:
+    """A PNG with its title, by which it is known as ours."""
+    body = b"tEXtTitle\0" + title.encode("latin-1")
+    chunk = (len(body) - 4).to_bytes(4, "big") + body + zlib.crc32(body).to_bytes(4, "big")
+    return png[:_PNG_HEADER] + chunk + png[_PNG_HEADER:]
+
+
+def _digest(text: bytes) -> str:
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(MAX_HEAD)
 
 
 def _first_line(path: Path) -> bytes:
@@ -66,3 +121,86 @@ _CONTENTS: Mapping[str, Callable[[Path], bool]] = {
     "results.json": lambda path: _has(json.loads(_whole(path)), "made_with"),
 }
 """By name; of the files by which an earlier run, training, search or report is known."""
+
+
+def _is_picture(title: str) -> Callable[[Path], bool]:
+    return lambda path: named_png(_head(path)[:_PNG_HEADER], title) == _head(path)[: _PNG_HEADER + 18 + len(title)]
+
+
+def _is_calibration(path: Path) -> bool:
+    first, _, rest = _whole(path).encode().partition(b"\n")
+    found = re.match(rb"# Written by Foreglow, ([0-9a-f]{16}):", first)
+    return found is not None and found[1].decode() == _digest(rest)
+
+
+def _is_annotation(path: Path) -> bool:
+    splits = json.loads(_whole(path))
+    return (
+        _has(splits) and bool(splits) and all(_has(split, "root", "num_boxes", "quality") for split in splits.values())
+    )
+
+
+def _is_labels(path: Path) -> bool:
+    """Those that an annotation tool has written since have other headings; of Label Studio, other fields."""
+    head = _head(path)
+    if path.suffix.lower() == ".xml":
+        return re.search(rb"<meta>\s*<task>\s*<name>foreglow</name>\s*<size>", head) is not None
+    if head.lstrip().startswith(b"{"):
+        return re.match(rb'\{\s*"info": \{\s*"description": "labels of Foreglow"', head) is not None
+    tasks = json.loads(_whole(path))
+    return isinstance(tasks, list) and all(
+        task.keys() in ({"id", "data", "annotations"}, {"id", "data", "predictions"})
+        and all(each.keys() == {"id", "result"} for key in task.keys() - {"id", "data"} for each in task[key])
+        for task in tasks
+    )
+
+
+def _is_predictions(path: Path) -> bool:
+    found = json.loads(_whole(path))
+    return _has(found) and all(_has(image, "boxes", "scores") for image in found.values())
+
+
+def _is_coco_results(path: Path) -> bool:
+    boxes = json.loads(_whole(path))
+    return isinstance(boxes, list) and all(
+        each.keys() == {"image_id", "category_id", "bbox", "score"} for each in boxes
+    )
+
+
+RUN_PAGE = FileKind(
+    "a page about a run",
+    (".html", ".htm"),
+    lambda path: _head(path).startswith(
+        b'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Run of '  # as `Page.html` begins
+    ),
+)
+STAGES, CHECK = "Foreglow: stages of a frame", "Foreglow: check of a calibration"
+"""Titles of pictures."""
+STAGE_PICTURE = FileKind("a picture of the stages", (".png",), _is_picture(STAGES))
+CHECK_PICTURE = FileKind("a picture of a calibration", (".png",), _is_picture(CHECK))
+CALIBRATION = FileKind("an unchanged calibration", (".toml",), _is_calibration)
+QUALITY = FileKind(
+    "figures of `evaluate`",
+    (".json",),
+    lambda path: _has(json.loads(_whole(path)), "precision", "q_k", "num_images", "is_complete"),
+)
+ANNOTATION = FileKind("numbers of `annotate`", (".json",), _is_annotation)
+LABELS = FileKind("unchanged labels", (".xml", ".json"), _is_labels)
+LABELS_INFO = {"description": "labels of Foreglow"}
+"""Heading of labels in COCO's format."""
+PREDICTIONS = FileKind("predictions of the same form", (".json",), _is_predictions)
+RANGE_MODEL = FileKind(
+    "a model of the ranges",
+    (".toml",),
+    lambda path: _has(tomllib.loads(_whole(path)), "origin", "range_log_sigma", "kinds"),
+)
+MODEL = FileKind("a model", (".onnx",), lambda path: b"\x12\x08foreglow" in _head(path)[:64])
+RECORDING = FileKind(
+    "a recording",
+    (".mcap",),
+    lambda path: _head(path).startswith(b"\x89MCAP0\r\n") and b"\x08\0\0\0foreglow" in _head(path),
+)
+VIEW = FileKind("a view", (".rrd",), lambda path: _head(path).startswith(b"RRF") and b"foreglow" in _head(path))
+
+TABLE = FileKind("a table", (".parquet",), lambda path: _head(path).startswith(b"PAR1"))
+COCO_RESULTS = FileKind("results in COCO's form", (".json",), _is_coco_results)

@@ -85,6 +85,7 @@ def test_paths_are_left_out(tmp_path: Path) -> None:
         ("<way id='c'>", "<way id='d'>", "way c: expected it with all its nodes, it is missing"),
         ("<nd ref='c3'/>", "<nd ref='c9'/>", r"way c: expected it with all its nodes, \['c9'\] is missing"),
         ("lat='48.0001'", "lat='148'", "node a1: expected a latitude of -90 to 90"),
+        ("lat='48.0001'", "lat='90.00005'", r"node a1: expected a latitude .* got 90\.00005 and"),
         ("lat='48.0001'", "lat='north'", "node a1: <node> lat: expected a finite number, got 'north'"),
         ("lon='9", "lon='8", "ways . and .: (borders: expected a width above 0|length: expected at most)"),
         ("v='400.2'", "v='1e11'", "way .: height: expected up to 10000 m above or below zero, got 1e.11"),

@@ -86,6 +86,8 @@ def test_tum(tmp_path: Path) -> None:
         ("z_m", "height", "header: expected the columns timestamp_s, x_m, y_m, z_m, qx"),
         ("1700000000.2,2", "1700000000.2,two", "line 3: expected numbers: could not convert"),
         ("1700000000.2,2", "1700000000.2,2_0", "line 3: expected numbers: could not convert"),
+        ("1700000000.2,2", "1700000000.2,\u0662", "line 3: expected numbers: could not convert"),
+        ("1700000000.2,", "\u0661700000000.2,", "line 3: "),
         ("1700000000.2,2", "1700000000.2,nan", "line 3: x_m: expected a finite number, got nan"),
         ("1700000000.2,2", "1700000000.2", "line 3: expected 8 numbers, got 7"),
         ("1700000003.2", "1700000000.2", "line 5: timestamp_s: expected times that rise"),

@@ -11,7 +11,8 @@ from foreglow.cli.app import app
 from foreglow.cli.shared_calibration import calibrate_source, calibration_lines, write_calibration
 from foreglow.command_line import argument, flag, option, output_file, with_options
 from foreglow.options import LensOptions, SourceArgument, SourceOptions, size_from
-from foreglow.outputs import check_unnamed_outputs
+from foreglow.outputs import check_kinds, check_unnamed_outputs
+from foreglow.own_files import CALIBRATION, CHECK_PICTURE, with_digest
 
 calibrate = typer.Typer(
     no_args_is_help=True, help="Check a calibration file on an image, convert one, or make one from a drive."
@@ -24,7 +25,7 @@ app.add_typer(calibrate, name="calibrate")
 def check(
     camera: Annotated[Path, argument("CAMERA", "Calibration (TOML).")],
     image: Annotated[Path, argument("IMAGE", "An image that the camera took.")],
-    out: Annotated[Path, output_file("PNG file to write.", (".png",))],
+    out: Annotated[Path, output_file("PNG file to write.", CHECK_PICTURE)],
 ) -> None:
     """Draw horizon, vanishing point and a metre grid of the flat road on IMAGE, and print the calibration in words."""
     from foreglow.calibration import read_calibration
@@ -44,11 +45,11 @@ def check(
 @with_options
 def auto(
     source: SourceArgument,
-    out: Annotated[Path, output_file("TOML file to write.", (".toml",))],
+    out: Annotated[Path, output_file("TOML file to write.", CALIBRATION)],
     lens: LensOptions,
     reading: SourceOptions,
     picture: Annotated[
-        Path | None, output_file("PNG file to write (default: beside the TOML file).", (".png",))
+        Path | None, output_file("PNG file to write (default: beside the TOML file).", CHECK_PICTURE)
     ] = None,
 ) -> None:
     """Calibrate a camera from a drive: where lanes and lights vanish, with standard deviations, and what stands still.
@@ -58,8 +59,7 @@ def auto(
     if picture is None:
         picture = out.with_suffix(".png")
         check_unnamed_outputs({"--picture": picture}, {})
-        if picture.exists() and not out.exists():
-            raise ValueError(f"{picture}: expected no picture there, as there is no {out} yet; name one with --picture")
+        check_kinds({"--picture": picture}, {"--picture": CHECK_PICTURE})
     found = calibrate_source(source, reading, lens)
     write_calibration(found, out, picture)
     typer.echo("\n".join([*calibration_lines(found), f"picture        {picture}", f"calibration    {out}"]))
@@ -69,7 +69,7 @@ def auto(
 @with_options
 def convert(
     source: Annotated[Path, argument("FILE", "Calibration in the format of KITTI (.txt) or ROS (.yaml), or TOML.")],
-    out: Annotated[Path, output_file("TOML file to write.", (".toml",))],
+    out: Annotated[Path, output_file("TOML file to write.", CALIBRATION)],
     mount_forward: Annotated[
         float, option("M", "Position of the camera: metres in front of the rear axle.", min=-20.0, max=20.0)
     ],
@@ -100,7 +100,7 @@ def convert(
     size_px = None if size is None else size_from(size)
     choice = validated(ImageChoice, {"camera": camera, "is_rectified": rectified, "size_px": size_px}, "images")
     calibrated = read_intrinsics(source, choice).camera(mount)
-    write_atomic(out, calibration_to_toml(calibrated).encode())
+    write_atomic(out, with_digest(calibration_to_toml(calibrated)).encode())
     for warning in warnings_of(calibrated):
         typer.echo(f"warning: {warning}")
     typer.echo(f"calibration in {out}; look at it with: foreglow calibrate check {out} IMAGE --out FILE.png")

@@ -13,6 +13,7 @@ from foreglow.cli.app import app
 from foreglow.cli.shared_run import run_in_parallel, say_lack
 from foreglow.command_line import argument, file, flag, folder, option, output_file, with_options
 from foreglow.options import PipelineOptions, WorkerOptions
+from foreglow.own_files import QUALITY
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -41,7 +42,7 @@ def evaluate(
     out: Annotated[Path | None, folder("Folder for a report with all figures and plots.")] = None,
     json_file: Annotated[
         Path | None,
-        output_file("Also write the figures of the table, and those by whose light, as JSON.", (".json",), "--json"),
+        output_file("Also write the figures of the table, and those by whose light, as JSON.", QUALITY, "--json"),
     ] = None,
     robustness: Annotated[
         bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")

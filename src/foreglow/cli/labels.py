@@ -10,6 +10,7 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import say_lack
 from foreglow.command_line import argument, file, folder, option, output_file, with_options
+from foreglow.own_files import LABELS
 from foreglow.plugins import words_of
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ app.add_typer(labels, name="labels")
 @with_options
 def export(
     source: Annotated[Path, argument("SOURCE", "Labelled images; with --run, what the run was made from.")],
-    out: Annotated[Path, output_file("File to write: .xml for CVAT, else .json.", (".xml", ".json"))],
+    out: Annotated[Path, output_file("File to write: .xml for CVAT, else .json.", LABELS)],
     name: Annotated[str, option("cvat|cvat-video|coco|label-studio", "Format of the file.", "--format")] = "cvat",
     run: Annotated[
         Path | None, file("Write what this run found instead of labels, to be corrected.", metavar="RUN")

@@ -14,6 +14,7 @@ from foreglow.command_line import argument, file, folder, option, output_file, w
 from foreglow.folder_lock import locked
 from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WorkerOptions
 from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own
+from foreglow.own_files import ANNOTATION, MODEL, RANGE_MODEL
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,7 +34,7 @@ def annotate(
     preset: Annotated[str, option("paper|baseline", "Preset of the proposals.")] = "paper",
     config: ConfigOption = None,
     split: Annotated[list[str] | None, option("train|val|test", "Only this split; repeatable.")] = None,
-    json_file: Annotated[Path | None, output_file("Also write the numbers as JSON.", (".json",), "--json")] = None,
+    json_file: Annotated[Path | None, output_file("Also write the numbers as JSON.", ANNOTATION, "--json")] = None,
 ) -> None:
     """Make labelled boxes of the key points, labels/bounding_boxes/*.json, and rate them."""
     import rich
@@ -371,7 +372,7 @@ def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
 @with_options
 def fit_ranges(
     data: Annotated[Path, argument("DATA", "Simulated drives, with train and val.")],
-    out: Annotated[Path, output_file("The model to write, a TOML file for `distance.model`.", (".toml",))],
+    out: Annotated[Path, output_file("The model to write, a TOML file for `distance.model`.", RANGE_MODEL)],
     config: ConfigOption = None,
     seed: Annotated[int, option("N", "Seed of the order of the images.", min=0)] = 0,
 ) -> None:
@@ -389,7 +390,7 @@ def fit_ranges(
 @with_options
 def import_weights(
     weights: Annotated[Path, argument("WEIGHTS", "Weights of the published classifier, a plain state dict.")],
-    out: Annotated[Path, output_file("The ONNX model to write.", (".onnx",))],
+    out: Annotated[Path, output_file("The ONNX model to write.", MODEL)],
     fold: Annotated[
         float | None,
         option(

@@ -15,7 +15,6 @@ from foreglow.cli.shared_run import recording_sinks, viewer_sinks
 from foreglow.command_line import argument, folder, option, output_file, refuse_unused, with_options
 from foreglow.options import (
     RECORD_HELP,
-    RECORDING_SUFFIXES,
     BeamOptions,
     CaptureOptions,
     LimitOption,
@@ -25,6 +24,7 @@ from foreglow.options import (
     VehicleOptions,
     ViewOptions,
 )
+from foreglow.own_files import RECORDING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -61,7 +61,7 @@ def live(
         str | None, option("CHANNEL", "With a camera: CAN bus with the motion of the car and the road.")
     ] = None,
     out: Annotated[Path | None, folder("Also write results, summary and faults to this folder.")] = None,
-    record: Annotated[Path | None, output_file(RECORD_HELP, RECORDING_SUFFIXES, callback=_dated)] = None,
+    record: Annotated[Path | None, output_file(RECORD_HELP, RECORDING, callback=_dated)] = None,
     topic: TopicOption = None,
     limit: LimitOption = None,
     speed: Annotated[

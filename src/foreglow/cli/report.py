@@ -10,6 +10,8 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import say_lack
 from foreglow.command_line import argument, output_file, with_options
+from foreglow.outputs import check_kinds
+from foreglow.own_files import RUN_PAGE
 
 
 @app.command()
@@ -17,7 +19,7 @@ from foreglow.command_line import argument, output_file, with_options
 def report(
     run: Annotated[Path, argument("RUN", "Folder of `run`, `beam` or `live`.")],
     out: Annotated[
-        Path | None, output_file("File to write (default: RUN/report.html).", (".html", ".htm"), metavar="FILE.html")
+        Path | None, output_file("File to write (default: RUN/report.html).", RUN_PAGE, metavar="FILE.html")
     ] = None,
 ) -> None:
     """Write an HTML page about RUN: tracks, ranges, beam and faults over time, key moments, run-times."""
@@ -25,6 +27,8 @@ def report(
     from foreglow.lab.reports.run_page import write_report
 
     require_matplotlib()
+    if out is None:
+        check_kinds({"RUN": run / "report.html"}, {"RUN": RUN_PAGE})
     page = write_report(run, out)
     say_lack(run)
     typer.echo(f"look in {page}")

@@ -26,7 +26,6 @@ from foreglow.cli.shared_run import (
 from foreglow.command_line import flag, folder, output_file, with_options
 from foreglow.options import (
     AUTO,
-    RECORDING_SUFFIXES,
     LensOptions,
     PipelineOptions,
     RecordOption,
@@ -37,6 +36,7 @@ from foreglow.options import (
     WorkerOptions,
 )
 from foreglow.outputs import check_unnamed_outputs
+from foreglow.own_files import RECORDING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -109,7 +109,7 @@ def run(
 @with_options
 def record(
     source: SourceArgument,
-    out: Annotated[Path, output_file("The recording: FILE.mcap.", RECORDING_SUFFIXES)],
+    out: Annotated[Path, output_file("The recording: FILE.mcap.", RECORDING)],
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from foreglow.outputs import check_kinds
+from foreglow.own_files import CALIBRATION, CHECK_PICTURE, with_digest
+
 if TYPE_CHECKING:
     from foreglow.calibration.auto import DriveCalibration
     from foreglow.options import LensOptions, SourceOptions, VehicleOptions
@@ -40,7 +43,8 @@ def write_calibration(found: DriveCalibration, path: Path, picture: Path) -> Non
 
     with together():
         write_check(picture, found.camera, found.frame.image, found.frame.path, found.mask)
-        write_atomic(path, f"# position_m: {_assumed(found)}\n{calibration_to_toml(found.camera)}".encode())
+        toml = f"# position_m: {_assumed(found)}\n{calibration_to_toml(found.camera)}"
+        write_atomic(path, with_digest(toml).encode())
 
 
 def _assumed(found: DriveCalibration) -> str:
@@ -70,10 +74,12 @@ def calibrated(
     from foreglow.whole_files import naming
 
     folder = out / "calibration"
+    path = folder / "camera.toml"
+    files = {"--out": path, "the picture": path.with_suffix(".png")}
+    check_kinds(files, {"--out": CALIBRATION, "the picture": CHECK_PICTURE})
     found = calibrate_source(source, dataclasses.replace(reading, limit=None), lens)
     with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "camera.toml"
     write_calibration(found, path, path.with_suffix(".png"))
     typer.echo("\n".join([*calibration_lines(found), f"calibration    {path}"]))
     return dataclasses.replace(vehicle, calibration=path)

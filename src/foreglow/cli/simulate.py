@@ -39,7 +39,7 @@ def simulate(
     out: Annotated[Path | None, folder("Folder for the data set, or for the preview.")] = None,
     num_scenes: Annotated[int, option("N", "Number of drives to draw.", "--scenes", min=1)] = 40,
     seed: Annotated[int, option("N", "Seed of everything random; the same seed gives the same bytes.", min=0)] = 7,
-    split: Annotated[str, option("train|val|test", "Split to draw; no two splits share a drive.")] = "train",
+    split: Annotated[str, option("train|val|test", "Split to draw; no two splits share a road.")] = "train",
     mixture: Annotated[
         str, option("pvdn|standard|r48", "Scenarios to draw from, as docs/scenes.md lists them.")
     ] = "pvdn",

@@ -13,13 +13,14 @@ from foreglow.cli.app import app
 from foreglow.cli.shared_run import open_frames
 from foreglow.command_line import option, output_file, with_options
 from foreglow.options import PipelineOptions, SourceArgument, SourceOptions, VehicleOptions
+from foreglow.own_files import STAGE_PICTURE, STAGES, named_png
 
 
 @app.command()
 @with_options
 def stages(
     source: SourceArgument,
-    out: Annotated[Path, output_file("PNG file to write.", (".png",))],
+    out: Annotated[Path, output_file("PNG file to write.", STAGE_PICTURE)],
     pipeline: PipelineOptions,
     reading: SourceOptions,
     vehicle: VehicleOptions,
@@ -41,5 +42,5 @@ def stages(
         latest, num_frames = (taken, stepper.step(taken)), num_frames + 1
     if latest is None or num_frames <= frame:
         raise ValueError(f"--frame: expected one of the {num_frames} frames of {source}, counted from 0, got {frame}")
-    write_atomic(out, stage_picture(*latest, stepper.config))
+    write_atomic(out, named_png(stage_picture(*latest, stepper.config), STAGES))
     typer.echo(f"frame {latest[0].frame}: {out}")

@@ -9,6 +9,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.command_line import argument, file, folder, option, output_file, with_options
+from foreglow.own_files import PREDICTIONS
 
 yolo = typer.Typer(no_args_is_help=True, help="Train and run a YOLO on the same boxes, for comparison.")
 app.add_typer(yolo, name="yolo")
@@ -71,7 +72,7 @@ def yolo_train(
 def yolo_predict(
     trained: Annotated[Path, argument("RUN", "Folder of a finished `yolo train`.")],
     split: Annotated[Path, argument("SPLIT", "A PVDN split, such as PVDN/day/val.")],
-    out: Annotated[Path, output_file("The predictions to write, JSON for `evaluate --predictions`.", (".json",))],
+    out: Annotated[Path, output_file("The predictions to write, JSON for `evaluate --predictions`.", PREDICTIONS)],
 ) -> None:
     """Write what a trained YOLO finds in a split."""
     from foreglow.datasets import open_labelled

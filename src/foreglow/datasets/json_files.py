@@ -93,11 +93,11 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         is_union = len(kinds) > 1 and all(kind in _KINDS for kind in kinds)
         place = place[:-1] if is_union else place
         field = ".".join(_printable(str(part)) for part in place) or "document"
-        got = "" if first["type"] == "missing" else f", got {shortened(first['input'])}"
         plain = first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
         message = _MESSAGES.get(first["type"], plain)
         if is_union:
             message = f"expected {' or '.join(dict.fromkeys(_KINDS[str(kind)] for kind in kinds))}"
+        got = "" if first["type"] == "missing" or ", got " in message else f", got {shortened(first['input'])}"
         raise ValueError(f"{origin}: {field}: {message}{got}") from None
     check_json_keys(data, origin)
     return value

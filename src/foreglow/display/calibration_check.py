@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from foreglow.display.overlay import Colour, Measures, Picture, Rectangle, darken, overlap_px
 from foreglow.display.tone import Tone
 from foreglow.geometry import Camera, Floats, MountSigmas, rotation_angles_rad
+from foreglow.own_files import CHECK, named_png
 from foreglow.types import Image
 from foreglow.whole_files import write_atomic
 
@@ -151,7 +152,8 @@ def write_check(path: Path, camera: Camera, image: Image, origin: str, mask: NDA
     """
     if path.suffix.lower() != ".png":
         raise ValueError(f"{path}: expected a picture that ends in .png, got {path.suffix!r}")
-    write_atomic(path, cv2.imencode(".png", draw_check(camera, image, origin, mask))[1].tobytes())
+    picture = cv2.imencode(".png", draw_check(camera, image, origin, mask))[1].tobytes()
+    write_atomic(path, named_png(picture, CHECK))
 
 
 def draw_check(camera: Camera, image: Image, origin: str = "image", mask: NDArray[np.bool_] | None = None) -> Picture:

@@ -58,7 +58,7 @@ def check_position(latitude_deg: float, longitude_deg: float, origin: str) -> No
     if not (abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180):
         raise ValueError(
             f"{origin}: expected a latitude of -90 to 90 and a longitude of -180 to 180 degrees, got "
-            f"{latitude_deg:g} and {longitude_deg:g}"
+            f"{latitude_deg:.10g} and {longitude_deg:.10g}"
         )
 
 

@@ -206,7 +206,7 @@ def _numbers(path: Path, columns: list[str], rows: list[tuple[int, list[str]]]) 
 def _time_ns(word: str, origin: str) -> int:
     """A time in nanoseconds, exact also for seconds since 1970, which as a float are exact to hundreds only."""
     try:
-        time_ns = Decimal(word) * TIMES[origin.rpartition(" ")[2]]
+        time_ns = Decimal(word if word.isascii() else "") * TIMES[origin.rpartition(" ")[2]]
         if abs(time_ns) < 1 << 63:
             return int(time_ns)
     except InvalidOperation:

@@ -19,6 +19,7 @@ from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.datasets.pvdn import is_pvdn
 from foreglow.outputs import check_kinds, check_outputs, exists
+from foreglow.own_files import COCO_RESULTS, TABLE, FileKind
 from foreglow.runs.frame_line import FrameLine
 from foreglow.runs.frames_file import line_to_result, read_frame_lines
 from foreglow.runs.origin import digests_of, origin_digest
@@ -144,7 +145,7 @@ class RecordedRun:
             ValueError: If there is no such table, or the file is a part of the run or its source, or of another kind.
             OSError: If the file cannot be written.
         """
-        self._check_output(Path(path), ".parquet")
+        self._check_output(Path(path), TABLE)
         try:
             import pyarrow as pa
             import pyarrow.parquet as pq
@@ -162,7 +163,7 @@ class RecordedRun:
             ValueError: If the file is a part of the run or its source, or of another kind.
             OSError: If the file cannot be written.
         """
-        self._check_output(Path(path), ".json")
+        self._check_output(Path(path), COCO_RESULTS)
         entries = [
             {"image_id": result.frame, "category_id": COCO_LIGHT, "bbox": [x1, y1, x2 - x1, y2 - y1], "score": score}
             for results in self.sequences.values()
@@ -174,11 +175,11 @@ class RecordedRun:
         ]
         write_atomic(Path(path), (json.dumps(entries) + "\n").encode())
 
-    def _check_output(self, path: Path, suffix: str) -> None:
+    def _check_output(self, path: Path, kind: FileKind) -> None:
         """ValueError if the file is a part of the run or of its source, or one of another kind."""
         sources = {"the source of the run": Path(self.summary.source)}
         check_outputs(sources, {"path": path}, {})
-        check_kinds({"path": path}, {"path": (suffix,)})
+        check_kinds({"path": path}, {"path": kind})
 
 
 def read_run(folder: Path | str) -> RecordedRun:

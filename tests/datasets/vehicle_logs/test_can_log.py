@@ -324,13 +324,14 @@ def test_events_that_are_no_frames_are_left_out(tmp_path: Path) -> None:
         (".asc", "timestamps absolute", "timestamps  Relative", r"line 2: expected timestamps absolute, got relative"),
         (".asc", "base hex *timestamps absolute", " base hex timestamps relative", "line 2: expected timestamps abs"),
         (".log", r"\(([\d.]+)\)", r"\1", r"line 1: expected a frame as a CAN log of the kind \.log"),
+        (".log", r"#(\w{16})", r"#\g<1>00", r"line 1: expected a frame as a CAN log of the kind \.log"),
         (".log", "3A", "FFFFFFF3A", r"line 1: expected a frame as a CAN log of the kind \.log"),
     ],
 )
 def test_logs_that_python_can_misreads(
     suffix: str, was: str, becomes: str, expected: str, tmp_path: Path, drive: list[tuple[int, StreetMessage]]
 ) -> None:
-    """Times since the frame before, times and identifiers in another form: motion came at wrong times."""
+    """Times since the frame before, times and identifiers in another form: motion came at wrong times; nine bytes."""
     path = tmp_path / f"drive{suffix}"
     write_can_log(path, drive)
     path.write_text(re.sub(was, becomes, path.read_text()))

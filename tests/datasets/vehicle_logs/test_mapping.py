@@ -283,6 +283,19 @@ def test_signals_that_cannot_be_decoded_are_the_fault_of_the_dbc(tmp_path: Path)
         decoder_of(tmp_path, overlapping)
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig"])
+def test_a_degree_sign_in_any_encoding(encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "car.dbc").write_text(DBC.replace('"deg/s"', '"\u00b0/s"'), encoding=encoding)
+    (tmp_path / "car.toml").write_text(MAPPING.replace("factor = 0.017453292519943295\n", ""))
+    decoders = [CanDecoder(tmp_path / "car.dbc", tmp_path / "car.toml"), decoder_of(tmp_path)]
+    for decoder in decoders:
+        decoder.take(0, next(key for key in decoder.keys if key[0] == 515), bytes(range(1, 9)), "bus")
+    found, expected = (decoder.log.motion(0) for decoder in decoders)
+    assert found is not None
+    assert expected is not None
+    assert found.yaw_rate_radps == expected.yaw_rate_radps != 0
+
+
 def test_reports_of_the_production_system_count_for_half_a_second(tmp_path: Path) -> None:
     alone = '[production]\nmessage = "Objects"\nsignal = "Vehicles"\n'
     log = log_of(tmp_path, [("Objects", {"Vehicles": 0}), ("Objects", {"Vehicles": 3})], alone)

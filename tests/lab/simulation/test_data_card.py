@@ -60,7 +60,8 @@ def test_cameras_of_the_same_drives_are_counted_once(tmp_path: Path) -> None:
 
 def test_a_road_in_two_splits_is_an_error(tmp_path: Path) -> None:
     write(tmp_path, "train", scenes(400, 500))
-    write(tmp_path, "test", scenes(450, 500))
+    write(tmp_path / "other", "test", scenes(450, 500))
+    (tmp_path / "other" / "night" / "test").rename(tmp_path / "night" / "test")
     with pytest.raises(ValueError, match="expected roads of its own"):
         write_data_card(tmp_path)
     assert not (tmp_path / FILE).exists()

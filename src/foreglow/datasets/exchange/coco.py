@@ -29,6 +29,7 @@ from foreglow.datasets.exchange.marks import (
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import shortened
+from foreglow.own_files import LABELS_INFO
 
 IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
 """Ids of the categories that are written."""
@@ -198,5 +199,5 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
         {"id": index, "name": str(kind), "supercategory": "", "keypoints": ["point"], "skeleton": []}
         for kind, index in IDS.items()
     ]
-    file = {"info": {}, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
+    file = {"info": LABELS_INFO, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
     return json.dumps(file, indent=1) + "\n", +lost

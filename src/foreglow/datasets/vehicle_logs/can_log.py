@@ -188,7 +188,11 @@ def read_dbc(path: Path) -> dict[str, Message]:
 
     # Python prints warnings of a library for which nobody listens; what they say is checked below.
     logging.getLogger("cantools").addHandler(logging.NullHandler())
-    text = read_text(path, MAX_DBC_BYTES, "cp1252", "replace")
+    text = read_text(path, MAX_DBC_BYTES, "latin-1")
+    try:
+        text = text.encode("latin-1").decode("utf-8-sig")
+    except UnicodeDecodeError:  # as Vector's tools write it
+        text = text.encode("latin-1").decode("cp1252", "replace")
     _check_dbc(text, str(path))
     try:
         # Not strict: public descriptions of real cars have signals that overlap.

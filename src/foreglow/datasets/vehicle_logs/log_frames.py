@@ -42,8 +42,9 @@ _RELATIVE = re.compile(
 )  # each time counts from the event before
 _DECIMAL_COMMA = re.compile(r"^(\s*\d+),(?=\d+\s)")  # of a time
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]")  # in no encoding of text but UTF-16; DOS ends it with 0x1a
-_CANDUMP_LINE = re.compile(  # time, bus, identifier; a length, or the flags of CAN FD and whole bytes
-    r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-F]{1,8}#(R\d*|(#\d)?([0-9A-F]{2}){0,64})(\s|$)", re.IGNORECASE | re.ASCII
+_CANDUMP_LINE = re.compile(  # time, bus, identifier; a length, up to 8 bytes, or the flags of CAN FD and more
+    r"\s*\(\d+(\.\d*)?\)\s+\S+\s+[0-9A-F]{1,8}#(R\d*|([0-9A-F]{2}){0,8}|#\d([0-9A-F]{2}){0,64})(\s|$)",
+    re.IGNORECASE | re.ASCII,
 )
 _ASC_FRAME = re.compile(  # time, channel, identifier, direction, kind: of other events of a log, none is like it
     r"\s*(?!//|-?\d+\.\d+\s)\S+\s+(\d\S*\s+\S+\s+(Rx|Tx|TxRq)\s+[dr]\s+\S|CANFD\s+\d+\s+(Rx|Tx|TxRq)\s)"

@@ -22,7 +22,7 @@ from foreglow.lab.evaluation import (
     evaluate_split,
     read_predictions,
 )
-from tests.cli.commands import foreglow_command
+from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.shared_data import shared_file
 
@@ -235,6 +235,7 @@ def test_the_published_code_gives_the_same(tmp_path: Path) -> None:
             assert to_json(quality)[ours] == (None if expected == -1 else expected), (name, ours)
 
 
+@pytest.mark.filterwarnings("ignore:.* (without predictions|with predictions)")
 def test_a_split_and_a_file(tmp_path: Path) -> None:
     split = make_pvdn(tmp_path)
     path = tmp_path / "frames.jsonl"
@@ -243,7 +244,13 @@ def test_a_split_and_a_file(tmp_path: Path) -> None:
         {"frame": 99, "proposals_xyxy_px": [], "scores": []},
     ]
     path.write_text("\n".join(map(json.dumps, lines)))
-    quality = evaluate_split(split, path)
+    with pytest.warns(UserWarning, match="images") as told:
+        quality = evaluate_split(split, path)
+    assert [str(each.message).partition(": ")[2] for each in told] == [
+        f"4 images of {split} without predictions, counted as without boxes",
+        f"1 images with predictions that {split} does not have, which are ignored",
+    ]
+    assert {each.filename for each in told} == {__file__}
     assert (quality.tp, quality.fp, quality.fn) == (2, 0, 1)
     assert (quality.num_images, quality.num_missing, quality.num_unknown) == (5, 4, 1)
     assert evaluate_split(split, path, threshold=0.3).fp == 1
@@ -257,6 +264,29 @@ def test_a_split_and_a_file(tmp_path: Path) -> None:
     (split / "labels/keypoints/000005.json").unlink()
     with pytest.raises(FileNotFoundError, match=r"000005\.json: no such file, expected the keypoints of image 5"):
         evaluate_split(split, path)
+
+
+@pytest.mark.filterwarnings("ignore:.* without predictions")
+def test_points_that_no_box_can_find(tmp_path: Path) -> None:
+    split, path = make_pvdn(tmp_path), tmp_path / "frames.jsonl"
+    path.write_text('{"frame": 11, "proposals_xyxy_px": [[36, 29, 46, 33]], "scores": [0.9]}\n')
+    keypoints = split / "labels" / "keypoints" / "000011.json"
+    position = next(
+        each["pos"] for vehicle in json.loads(keypoints.read_text())["annotations"] for each in vehicle["instances"]
+    )
+    keypoints.write_text(keypoints.read_text().replace(str(position), "[500, 20]"))
+    with pytest.warns(UserWarning, match=r"frames\.jsonl: 1 key points of .* outside of their image"):
+        evaluate_split(split, path)
+
+
+def test_relative_coordinates_are_refused(tmp_path: Path) -> None:
+    """They gave an F of 0."""
+    split, path = make_pvdn(tmp_path), tmp_path / "predictions.json"
+    path.write_text(json.dumps({"11": {"boxes": [[0.1, 0.2, 0.3, 0.4], [0.5, 0.5, 1, 1]], "scores": [0.9, 0.8]}}))
+    expected = "predictions.json: expected boxes in pixels, got none beyond 1, as of coordinates relative to the image"
+    with pytest.raises(ValueError, match=expected):
+        evaluate_split(split, path)
+    assert expected in complaint("evaluate", split, "--predictions", path)
 
 
 def test_predictions_of_another_split_are_refused(tmp_path: Path) -> None:

@@ -334,6 +334,16 @@ def test_other_scenes_are_not_mixed_in(whole: Path) -> None:
         simulate_dataset(whole, SCENES, drive, DatasetConfig(generator="else"))
 
 
+def test_no_road_is_in_two_splits(tmp_path: Path) -> None:
+    """As `simulate --scene` had it twice; the help says otherwise."""
+    simulate_dataset(tmp_path, SCENES[:1], drive)
+    for cycle in Cycle:
+        with pytest.raises(ValueError, match=r"val: expected roads of its own, that of scene 1 is also in .*train"):
+            simulate_dataset(tmp_path, SCENES[:1], drive, DatasetConfig(split="val", cycle=cycle))
+        simulate_dataset(tmp_path, SCENES[:1], drive, DatasetConfig(cycle=cycle))
+    assert {path.name for path in (tmp_path / "night").iterdir()} == {"train"}
+
+
 def test_cycle_split_and_rate(tmp_path: Path) -> None:
     exposures: list[str] = []
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
@@ -129,7 +131,8 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     """How well the predictions in a file explain a PVDN split.
 
     Every image of the split counts, with all its instances: direct, indirect and rear. Each must have its keypoint
-    file. Image files are not needed.
+    file. Image files are not needed. A warning tells what makes the figures lower than the boxes deserve: images
+    without predictions, predictions for images that are not in the split, and key points outside their image.
 
     Args:
         split: The split's folder, or a sequence's for this sequence alone.
@@ -142,9 +145,19 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     """
     found = read_predictions(predictions)
     least = run_threshold(predictions) if threshold is None else threshold
-    keypoints_px = split_keypoints_px(open_labelled(split))
+    dataset = open_labelled(split)
+    keypoints_px = split_keypoints_px(dataset)
     check_images(Path(predictions), found, Path(split), keypoints_px.keys())
-    return evaluate_boxes(keypoints_px, found, least)
+    quality = evaluate_boxes(keypoints_px, found, least)
+    outside = sum(num_outside(dataset.image(image_id), points.tolist()) for image_id, points in keypoints_px.items())
+    for number, words in (
+        (quality.num_missing, f"images of {split} without predictions, counted as without boxes"),
+        (quality.num_unknown, f"images with predictions that {split} does not have, which are ignored"),
+        (outside, f"key points of {split} outside of their image, so that no box finds them"),
+    ):
+        if number:
+            warnings.warn(f"{predictions}: {number} {words}", stacklevel=2)
+    return quality
 
 
 def check_images(path: Path, predictions: Predictions, split: Path, image_ids: Collection[int]) -> None:
@@ -157,11 +170,17 @@ def check_images(path: Path, predictions: Predictions, split: Path, image_ids: C
         image_ids: Its images.
 
     Raises:
-        ValueError: If they are for none of its images, or by a run on something else, or the run's summary is broken.
+        ValueError: If they are for none of its images, in relative coordinates, or by a run on something else, or the
+            run's summary is broken.
     """
     images = predictions.boxes_xyxy_px.keys()
     if images and images.isdisjoint(image_ids):
         raise ValueError(f"{path}: expected boxes in images of {split}, got those of others, such as {min(images)}")
+    most_px = max((float(boxes.max()) for boxes in predictions.boxes_xyxy_px.values() if boxes.size), default=math.inf)
+    if most_px <= 1:
+        raise ValueError(
+            f"{path}: expected boxes in pixels, got none beyond 1, as of coordinates relative to the image"
+        )
     if path.name == "frames.jsonl":
         check_labels(path.parent, split)
 

@@ -44,7 +44,7 @@ from foreglow.lab.simulation.writing.finished import kept_scenes
 from foreglow.lab.simulation.writing.lidar import LidarConfig
 from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
 from foreglow.lab.simulation.writing.recorder import Recorder
-from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write_scenes
+from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, read_scenes, write_scenes
 from foreglow.lab.simulation.writing.street_data import StreetDataError, check_ego_on_map
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.whole_files import is_temporary
@@ -214,7 +214,23 @@ def simulate_datasets(
     with contextlib.ExitStack() as locks:
         for root in files:
             locks.enter_context(FolderLock(root))
+        for target in targets:
+            _check_roads(target, scenes)
         return _simulated(targets, scenes, expose, files, num_variants, workers, progress)
+
+
+def _check_roads(target: Target, scenes: Sequence[Scene]) -> None:
+    """ValueError if another split of the data set has the road of a scene, such as one of the user's own."""
+    numbers = {scene.road.model_dump_json(): number for number, scene in enumerate(scenes, start=1)}
+    for path in sorted(target.out.glob("*/*/scenes.jsonl")):
+        others: list[str] = []
+        if path.parent.name != target.config.split:
+            with contextlib.suppress(OSError, ValueError):  # whoever reads that split will say what is wrong
+                others = [scene.road.model_dump_json() for _, scene in read_scenes(path)]
+        for road in numbers.keys() & set(others):
+            raise ValueError(
+                f"{target.root}: expected roads of its own, that of scene {numbers[road]} is also in {path.parent}"
+            )
 
 
 def _simulated(
