@@ -13,7 +13,7 @@ from foreglow.datasets.decoding import grey_image
 from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.unshown import Unshown
 from foreglow.types import Image
-from tests.datasets.test_video_damage import GOP, packets_of, write_h264
+from tests.datasets.test_video_damage import GOP, make_noise, packets_of, write_h264
 
 H264 = [
     ("night.h264", "bframes=0"),
@@ -59,6 +59,27 @@ def test_a_joined_stream_of_h265_tells_what_cannot_be_decoded(tmp_path: Path) ->
     video = Video(path, on_error="mark")
     assert len(list(video)) == 2 * GOP
     assert len(video.skipped) == GOP - 3
+
+
+@pytest.mark.parametrize(("name", "codec"), [("night.mp4", "libsvtav1"), ("night.webm", "libvpx-vp9")])
+def test_a_last_packet_that_gives_nothing_is_told(tmp_path: Path, name: str, codec: str) -> None:
+    path = make_noise(tmp_path / name, codec)
+    assert len(list(Video(path))) == 30
+    position, size = packets_of(path)[-1]
+    data = bytearray(path.read_bytes())
+    data[position + 5 : position + size] = b"\xff" * (size - 5)
+    path.write_bytes(bytes(data))
+    video = Video(path, on_error="mark")
+    num_given = len(list(video))
+    assert num_given < 30
+    assert num_given + len(video.skipped) == 30
+
+
+def test_references_of_vp8_that_are_not_shown_are_not_waited_for() -> None:
+    unshown = Unshown("vp8", None)
+    for number, data in enumerate([b"\x10\x02", b"\x00\x02", b"\x31"]):
+        unshown.await_picture(number, data)
+    assert unshown.numbers == [0, 2]
 
 
 def test_where_units_have_sizes_each_packet_is_a_picture() -> None:

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import BinaryIO
 
-from foreglow.datasets import asf, matroska, program_stream
+from foreglow.datasets import asf, matroska, ogg, program_stream
 from foreglow.datasets.images import MAX_SIDE_PX
 from foreglow.datasets.transport import PACKETS, SYNC
 
@@ -46,8 +46,8 @@ _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whet
 def missing_bytes(path: Path) -> int:
     """Number of bytes missing at the end of `path`, by sizes in its container; more may be missing.
 
-    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, MPEG-TS and
-    MPEG program streams. 0 for a complete file, and for a container that states no size (live Matroska, raw streams).
+    Known are MP4/MOV, Matroska/WebM, AVI, ASF/WMV, MXF, Y4M and, up to the end of the packet that was cut, Ogg, MPEG-TS
+    and MPEG program streams. 0 for a complete file, and where a container states no size (live Matroska, raw streams).
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -62,6 +62,8 @@ def missing_bytes(path: Path) -> int:
             end = next((stop for _, _, stop in asf.objects(file, size) if stop > size), size)
         elif head.startswith(program_stream.PACK):
             end = program_stream.walk(file, size)[0]
+        elif head.startswith(ogg.CAPTURE):
+            end = ogg.walk(file, size)[0]
         elif head.startswith(_Y4M):
             end = _y4m_end(file, size)
         elif head.startswith(_MXF_KEY):
@@ -74,8 +76,8 @@ def missing_bytes(path: Path) -> int:
 def hole(path: Path, demultiplexer: str = "") -> str:
     """A line about the first damage between parts of a file, or about a second film in it; empty if there is none.
 
-    Behind the damage of Matroska, AVI, ASF/WMV, MXF, FLV and MPEG program streams the demultiplexer silently goes on,
-    or ends. `demultiplexer` is FFmpeg's name of it, which says more than the first bytes where those are damaged.
+    Behind the damage of Matroska, AVI, ASF/WMV, MXF, FLV, Ogg and MPEG program streams the demultiplexer silently goes
+    on, or ends. `demultiplexer` is FFmpeg's name of it, which says more than the first bytes where those are damaged.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -95,6 +97,8 @@ def hole(path: Path, demultiplexer: str = "") -> str:
             kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
         elif head.startswith(program_stream.PACK) or (demultiplexer == "mpeg" and head.startswith(bytes(4))):
             kind, what, damage = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
+        elif head.startswith(ogg.CAPTURE) or demultiplexer == "ogg":
+            kind, what, damage = "an Ogg file", "a page", ogg.walk(file, size)[1]
         elif demultiplexer == "mjpeg":
             return _before_pictures(path, file)
         else:
@@ -104,8 +108,9 @@ def hole(path: Path, demultiplexer: str = "") -> str:
         file.seek(damage)
         if file.read(16).startswith((_FLV, asf.HEADER)):
             return _second_film(path, damage, "header")
+    found = "damage" if damage < size else "the end of the file"
     return (
-        f"{path}: byte {damage}: expected {what} of {kind}, found damage; frames may be missing from "
+        f"{path}: byte {damage}: expected {what} of {kind}, found {found}; frames may be missing from "
         "there on, and those behind have too small numbers"
     )
 

@@ -106,7 +106,7 @@ def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) 
     numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
     damaged, broken, key, latest = -math.inf, -math.inf, -math.inf, -1  # numbers of packets
     first_keys: set[int] = set()
-    unshown = Unshown(codec.name, codec.extradata)
+    unshown = Unshown(codec.codec.canonical_name, codec.extradata)
     for number, (packet, is_broken) in enumerate(with_losses(_packets(container, stream), losses)):
         packet.opaque = number
         if is_broken:

@@ -1,51 +1,13 @@
-"""Which packets of H.264 and H.265 give no picture: their decoders leave out, in silence, what lacks others."""
+"""Which packets give no picture: decoders leave out, in silence, what lacks others or cannot be read."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from typing import Protocol
-
-
-class _Units(Protocol):
-    """What a codec's units are."""
-
-    def size_bytes(self, extradata: bytes) -> int:
-        """How many bytes before each unit say how long it is; 0 where start codes are between units."""
-
-    def must_be_shown(self, head: int) -> bool | None:
-        """Whether a unit with this first byte is of a picture that must be shown; None if it is of no picture."""
-
-
-class _H264Units:
-    """Source: Rec. ITU-T H.264, table 7-1; ISO/IEC 14496-15, section 5.3.3."""
-
-    def size_bytes(self, extradata: bytes) -> int:
-        return (extradata[4] & 3) + 1 if len(extradata) > 8 and extradata[0] == 1 else 0
-
-    def must_be_shown(self, head: int) -> bool | None:
-        return True if head & 31 in (1, 2, 5) else None
-
-
-class _H265Units:
-    """Source: Rec. ITU-T H.265, table 7-1; ISO/IEC 14496-15, section 8.3.3."""
-
-    _LEADING = (8, 9)  # pictures that cannot be decoded where a stream begins with the key frame behind them (RASL)
-    _PICTURES = 32  # below, types of units are those of pictures
-
-    def size_bytes(self, extradata: bytes) -> int:
-        return (extradata[21] & 3) + 1 if len(extradata) > 22 and extradata[0] == 1 else 0
-
-    def must_be_shown(self, head: int) -> bool | None:
-        kind = head >> 1 & 0x3F
-        return kind not in self._LEADING if kind < self._PICTURES else None
-
-
-_UNITS: dict[str, _Units] = {"h264": _H264Units(), "hevc": _H265Units()}
+from collections.abc import Callable, Iterator
 
 
 class Unshown:
-    """The packets whose pictures have not come yet; none are waited for of a codec other than H.264 and H.265.
+    """The packets whose pictures have not come yet, of codecs of which each packet shows one.
 
     Attributes:
         numbers: The packets that are waited for, and may still come.
@@ -54,20 +16,12 @@ class Unshown:
     _MOST = 64  # packets; a decoder holds back 16 pictures. Source: Rec. ITU-T H.265, annex A.4
 
     def __init__(self, codec_name: str, extradata: bytes | None) -> None:
-        self._units = _UNITS.get(codec_name)
-        self._size_bytes = self._units.size_bytes(extradata or b"") if self._units is not None else 0
+        self._has_picture = _checks(extradata or b"").get(codec_name, _never)
         self.numbers: list[int] = []
 
     def await_picture(self, number: int, data: bytes) -> None:
-        """Waits for the picture of this packet, unless it has none that must be shown.
-
-        Where units have sizes, each packet is a picture, even if nothing in it can be recognised.
-        """
-        if self._units is None:
-            return
-        told = (self._units.must_be_shown(head) for head in self._heads(data))
-        is_picture = next((must for must in told if must is not None), bool(self._size_bytes))
-        if is_picture:
+        """Waits for the picture of this packet, unless it has none that must be shown."""
+        if self._has_picture(data):
             self.numbers.append(number)
 
     def lost_before(self, origin: int, *, is_key: bool) -> list[int]:
@@ -81,14 +35,51 @@ class Unshown:
         self.numbers = self.numbers[len(lost) :]
         return lost
 
-    def _heads(self, data: bytes) -> Iterator[int]:
-        """The first bytes of the packet's units."""
-        if not self._size_bytes:
-            for match in re.finditer(rb"\x00\x00\x01(.)", data, re.DOTALL):
-                yield match[1][0]
-            return
-        position = 0
-        while position + self._size_bytes < len(data):
-            start = position + self._size_bytes
-            yield data[start]
-            position = start + int.from_bytes(data[position:start], "big")
+
+def _checks(extradata: bytes) -> dict[str, Callable[[bytes], bool]]:
+    """By codec, whether a packet has a picture that must be shown."""
+    in_mp4 = extradata[:1] == b"\x01"  # and in Matroska: units have a length before them instead of a start code
+    # Sources: ISO/IEC 14496-15, sections 5.3.3 and 8.3.3.
+    h264_bytes = (extradata[4] & 3) + 1 if in_mp4 and len(extradata) > 8 else 0
+    h265_bytes = (extradata[21] & 3) + 1 if in_mp4 and len(extradata) > 22 else 0
+    return {
+        "h264": lambda data: _has_picture(data, h264_bytes, _of_h264),
+        "hevc": lambda data: _has_picture(data, h265_bytes, _of_h265),
+        "av1": lambda data: bool(data),
+        "vp9": lambda data: bool(data),
+        "vp8": lambda data: bool(data and data[0] >> 4 & 1),  # others are references. Source: RFC 6386, section 9.1
+    }
+
+
+def _never(_: bytes) -> bool:
+    return False
+
+
+def _has_picture(data: bytes, size_bytes: int, must_be_shown: Callable[[int], bool | None]) -> bool:
+    """By the first unit of a picture; where units have sizes, each packet is one, even if nothing is recognised."""
+    told = (must_be_shown(head) for head in _heads(data, size_bytes))
+    return next((must for must in told if must is not None), bool(size_bytes))
+
+
+def _of_h264(head: int) -> bool | None:
+    """Whether a unit with this first byte must be shown; None if it is of no picture. Source: H.264, table 7-1."""
+    return True if head & 31 in (1, 2, 5) else None
+
+
+def _of_h265(head: int) -> bool | None:
+    """The same, of H.265, table 7-1; RASL (8, 9) cannot be decoded where a stream begins behind them."""
+    kind = head >> 1 & 0x3F
+    return kind not in (8, 9) if kind < 32 else None
+
+
+def _heads(data: bytes, size_bytes: int) -> Iterator[int]:
+    """The first bytes of the packet's units, which have their size in so many bytes before them; 0: start codes."""
+    if not size_bytes:
+        for match in re.finditer(rb"\x00\x00\x01(.)", data, re.DOTALL):
+            yield match[1][0]
+        return
+    position = 0
+    while position + size_bytes < len(data):
+        start = position + size_bytes
+        yield data[start]
+        position = start + int.from_bytes(data[position:start], "big")
