@@ -13,7 +13,7 @@ from foreglow.datasets.decoding import grey_image
 from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.unshown import Unshown
 from foreglow.types import Image
-from tests.datasets.test_video_damage import GOP, make_noise, packets_of, write_h264
+from tests.datasets.test_video_damage import GOP, make_noise, make_stream, packets_of, write_h264
 
 H264 = [
     ("night.h264", "bframes=0"),
@@ -73,6 +73,18 @@ def test_a_last_packet_that_gives_nothing_is_told(tmp_path: Path, name: str, cod
     num_given = len(list(video))
     assert num_given < 30
     assert num_given + len(video.skipped) == 30
+
+
+def test_mpeg_2_that_lacks_its_first_headers_tells_what_it_cannot_decode(tmp_path: Path) -> None:
+    path = tmp_path / "night.ts"
+    data = make_stream(path)
+    position, _ = packets_of(path)[0]
+    place = position + 20  # within the first packet of the video; packets begin elsewhere from there on
+    path.write_bytes(data[:place] + b"1234" + data[place:])
+    video = Video(path, on_error="mark")
+    frames = list(video)
+    assert len(frames) == 60 - GOP
+    assert len(frames) + len(video.skipped) >= 59  # the first packet is none
 
 
 def test_references_of_vp8_that_are_not_shown_are_not_waited_for() -> None:

@@ -45,10 +45,17 @@ def _checks(extradata: bytes) -> dict[str, Callable[[bytes], bool]]:
     return {
         "h264": lambda data: _has_picture(data, h264_bytes, _of_h264),
         "hevc": lambda data: _has_picture(data, h265_bytes, _of_h265),
+        "mpeg1video": _has_mpeg_picture,
+        "mpeg2video": _has_mpeg_picture,
         "av1": lambda data: bool(data),
         "vp9": lambda data: bool(data),
         "vp8": lambda data: bool(data and data[0] >> 4 & 1),  # others are references. Source: RFC 6386, section 9.1
     }
+
+
+def _has_mpeg_picture(data: bytes) -> bool:
+    """Whether a picture's header is there. Source: ITU-T H.262, table 6-1."""
+    return b"\0\0\1\0" in data
 
 
 def _never(_: bytes) -> bool:
