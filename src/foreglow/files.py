@@ -17,7 +17,7 @@ import stat
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any, AnyStr, Protocol, runtime_checkable
+from typing import IO, Any, AnyStr, Protocol, get_args, runtime_checkable
 from urllib.parse import quote, unquote_to_bytes
 
 import numpy as np
@@ -178,6 +178,26 @@ def check_each_once(values: Iterable[Path | str], field: str) -> None:
         if key in seen:
             raise ValueError(f"{field}: expected each once, {value} comes twice")
         seen.add(key)
+
+
+def check_one_of(value: object, choices: Any, field: str) -> None:
+    """Passes one of some texts: Python callers may give anything, whatever the signature says.
+
+    Args:
+        value: What was given.
+        choices: The texts, or the `Literal` of them.
+        field: What it was given as, for the message.
+
+    Raises:
+        ValueError: If it is another one, or no text.
+
+    >>> check_one_of("RGB", ("rgb", "bgr"), "order")
+    Traceback (most recent call last):
+    ValueError: order: expected one of rgb, bgr, got 'RGB'
+    """
+    known = get_args(choices) or tuple(choices)
+    if not isinstance(value, str) or value not in known:
+        raise ValueError(f"{field}: expected one of {', '.join(known)}, got {shortened(value)}")
 
 
 def check_is_folder(path: Path, expected: str) -> None:

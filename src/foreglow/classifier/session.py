@@ -7,14 +7,17 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from foreglow.files import check_file, read_bytes, shortened
+from foreglow.files import check_file, check_one_of, read_bytes, shortened
 from foreglow.models import BUNDLED
 from foreglow.protobuf import protobuf_fields
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
+
+Device: TypeAlias = Literal["cpu", "cuda"]
+"""What a network is computed on."""
 
 MAX_MODEL_BYTES = 1 << 29
 """Largest model file; ours has less than a megabyte."""
@@ -38,7 +41,7 @@ _OPERATION, _ATTRIBUTE = 4, 5  # of a node
 _BRANCH = 6  # of an attribute: a graph
 
 
-def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = "cpu") -> InferenceSession:
+def open_session(path: Path, num_threads: int, device: Device = "cpu") -> InferenceSession:
     """A sequential session that does not spin while it waits.
 
     Raises:
@@ -46,6 +49,7 @@ def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = 
         IsADirectoryError: If it is a folder, such as that of a training.
         ValueError: If it is not an ONNX model that can be run, or is beyond a bound; or if there is no such device.
     """
+    check_one_of(device, Device, "device")
     if path.is_dir():
         within = f"{path / 'model.onnx'}" if (path / "model.onnx").is_file() else "model.onnx of a training"
         raise IsADirectoryError(f"{path}: expected an ONNX file such as {within}, got a folder")

@@ -19,7 +19,7 @@ from foreglow.config.stages import (
     StandingConfig,
     TrackerConfig,
 )
-from foreglow.files import read_toml
+from foreglow.files import check_one_of, read_toml
 
 
 class PipelineConfig(FrozenModel):
@@ -97,8 +97,7 @@ def preset(name: str) -> PipelineConfig:
     >>> preset("baseline").proposals.gap_px
     13
     """
-    if name not in PRESETS:
-        raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
+    check_one_of(name, PRESETS, "preset")
     return PRESETS[name]
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal, Protocol, TypeAlias, get_args
+from typing import Literal, Protocol, TypeAlias
 
+from foreglow.files import check_one_of
 from foreglow.types import Frame
 
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
@@ -59,8 +60,7 @@ class FileSource:
         Raises:
             ValueError: If it is none of `OnError`, as Python callers may pass any string.
         """
-        if on_error not in get_args(OnError):
-            raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
+        check_one_of(on_error, OnError, "on_error")
         self.origin = Path(origin)
         self.skipped, self.lost_parts = [], []
         self._on_error = on_error

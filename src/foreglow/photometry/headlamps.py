@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel, read_toml, validated
+from foreglow.files import check_one_of
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, squares_m2
@@ -268,7 +269,12 @@ def read_lamp_file(path: Path | str) -> IntensityTable:
 
 
 def matrix_beam(side: Side) -> MatrixLamp:
-    """The light of the built-in left or right lamp: 3 rows of 28 LEDs, 34 degrees wide, above the low beam."""
+    """The light of the built-in left or right lamp: 3 rows of 28 LEDs, 34 degrees wide, above the low beam.
+
+    Raises:
+        ValueError: If there is no such side.
+    """
+    check_one_of(side, Side, "side")
     return _shipped().left.matrix if side == "left" else _shipped().right.matrix
 
 

@@ -23,7 +23,7 @@ from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
-from foreglow.files import to_json
+from foreglow.files import check_one_of, to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
@@ -155,9 +155,8 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
         ValueError: If a name is unknown, `data` is a single split with another name, or a name fits several folders.
     """
     root = Path(data)
-    unknown = [name for name in names if name not in SPLIT_NAMES]
-    if unknown:
-        raise ValueError(f"split: expected one of {', '.join(SPLIT_NAMES)}, got {unknown[0]!r}")
+    for name in names:
+        check_one_of(name, SPLIT_NAMES, "split")
     if root.is_dir() and is_split(root):
         if names and names != (root.resolve().name,):
             raise ValueError(f"{root}: split: expected none, since this is a single split, got {', '.join(names)}")

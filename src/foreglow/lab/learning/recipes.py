@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import FrozenModel, read_toml, validated
+from foreglow.files import check_one_of
 from foreglow.lab.learning.samples import Inputs, Jitter
 from foreglow.types import KINDS
 
@@ -231,8 +232,7 @@ def recipe(name: str) -> Recipe:
     >>> recipe("paper").epochs
     300
     """
-    if name not in RECIPES:
-        raise ValueError(f"recipe: expected one of {', '.join(RECIPES)}, got {name!r}")
+    check_one_of(name, RECIPES, "recipe")
     return RECIPES[name]
 
 

@@ -15,6 +15,7 @@ from foreglow.config import preset
 from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.datasets.simulated.light_maps import reduced
 from foreglow.datasets.simulated.shares import BoxShares, load_arrow
+from foreglow.files import check_one_of
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.exposure import Exposure, Imager
 from foreglow.lab.simulation.camera.imager import ElectronImager
@@ -207,8 +208,7 @@ class Drive:
         self.skipped: Sequence[str] = ()
         self.latest: DriveFrame | None = None
         self.camera = camera_of(scene.camera)
-        if quality not in QUALITIES:
-            raise ValueError(f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}")
+        check_one_of(quality, QUALITIES, "quality")
         self.settings = QUALITIES[quality]
         self.headlamps = headlamps or read_headlamps()
         self._led_levels: Floats = np.ones((2, self.headlamps.num_leds))

@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
+from foreglow.files import check_one_of
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.proposals import Proposer, make_proposer
@@ -91,10 +92,12 @@ def export_yolo(
 
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
-        ValueError: If a file is broken, there is no such preset, `folder` holds another export, or another run is
-            writing into it.
+        ValueError: If a file is broken, there is no such preset or split, `folder` holds another export, or another run
+            is writing into it.
         OSError: If the disk is full; the message names the file.
     """
+    for name in splits:
+        check_one_of(name, SPLIT_NAMES, "splits")
     if not data.is_dir():
         raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
     wanted = existing_splits(data, splits)

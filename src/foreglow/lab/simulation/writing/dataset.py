@@ -34,6 +34,7 @@ from foreglow.datasets.simulated.files import (
     sequence_name,
     write_info,
 )
+from foreglow.files import check_one_of
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
@@ -113,8 +114,7 @@ class DatasetConfig(FrozenModel):
 
 
 def _cycle(name: str) -> Cycle:
-    if name not in set(Cycle):
-        raise ValueError(f"cycle: expected one of {', '.join(Cycle)}, got {name!r}")
+    check_one_of(name, Cycle, "cycle")
     return Cycle(name)
 
 
