@@ -12,12 +12,11 @@ import json
 import math
 import os
 import re
-import reprlib
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any, AnyStr, Protocol, get_args, runtime_checkable
+from typing import IO, Any, AnyStr, Protocol, runtime_checkable
 from urllib.parse import quote, unquote_to_bytes
 
 import numpy as np
@@ -25,6 +24,7 @@ from pydantic import BaseModel
 from pydantic_core import from_json, to_jsonable_python
 
 from foreglow.whole_files import write_atomic
+from foreglow.wording import shortened
 
 _FILE_URI = "file://"
 
@@ -178,26 +178,6 @@ def check_each_once(values: Iterable[Path | str], field: str) -> None:
         if key in seen:
             raise ValueError(f"{field}: expected each once, {value} comes twice")
         seen.add(key)
-
-
-def check_one_of(value: object, choices: Any, field: str) -> None:
-    """Passes one of some texts: Python callers may give anything, whatever the signature says.
-
-    Args:
-        value: What was given.
-        choices: The texts, or the `Literal` of them.
-        field: What it was given as, for the message.
-
-    Raises:
-        ValueError: If it is another one, or no text.
-
-    >>> check_one_of("RGB", ("rgb", "bgr"), "order")
-    Traceback (most recent call last):
-    ValueError: order: expected one of rgb, bgr, got 'RGB'
-    """
-    known = get_args(choices) or tuple(choices)
-    if not isinstance(value, str) or value not in known:
-        raise ValueError(f"{field}: expected one of {', '.join(known)}, got {shortened(value)}")
 
 
 def check_is_folder(path: Path, expected: str) -> None:
@@ -381,11 +361,6 @@ def read_plain_json(path: Path) -> Any:
     return value
 
 
-_SHORT = reprlib.Repr()
-_SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 3, 4, 6, 6
-_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
-
-
 def number_in(text: str) -> float:
     """The number that a text is, finite or not.
 
@@ -393,16 +368,6 @@ def number_in(text: str) -> float:
         ValueError: If it is none; 1_000, which Python alone takes for one, is none.
     """
     return float(text.replace("_", "?"))
-
-
-def shortened(value: object) -> str:
-    """`value` as Python writes it, cut for a message, whatever its size.
-
-    >>> shortened([1, "x" * 1000])[:6], len(shortened([1, "x" * 1000]))
-    ("[1, 'x", 80)
-    """
-    text = _SHORT.repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _check_size(path: Path, num_bytes: int, max_bytes: float) -> None:

@@ -9,9 +9,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from foreglow.files import check_file, check_one_of, read_bytes, shortened
+from foreglow.files import check_file, read_bytes
 from foreglow.models import BUNDLED
 from foreglow.protobuf import protobuf_fields
+from foreglow.wording import check_one_of, shortened
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

@@ -19,7 +19,8 @@ from foreglow.config.stages import (
     StandingConfig,
     TrackerConfig,
 )
-from foreglow.files import check_one_of, read_toml
+from foreglow.files import read_toml
+from foreglow.wording import check_one_of
 
 
 class PipelineConfig(FrozenModel):

@@ -23,9 +23,10 @@ from foreglow.datasets.image_bytes import (
     png_size_px,
     size_px,
 )
-from foreglow.files import check_file, check_one_of, read_bytes
+from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
+from foreglow.wording import check_one_of
 
 Order: TypeAlias = Literal["rgb", "bgr"]
 """Order of the channels of a colour image."""

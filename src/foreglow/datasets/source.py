@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
-from foreglow.files import check_one_of
 from foreglow.types import Frame
+from foreglow.wording import check_one_of
 
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
 """What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel, read_toml, validated
-from foreglow.files import check_one_of
 from foreglow.geometry import Floats, Pose, rotation
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, squares_m2
 from foreglow.photometry.lamps import low_beam
 from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
+from foreglow.wording import check_one_of
 
 MARGIN = 2
 """Width of the border of dark cells around the LEDs' tables; directions outside are looked up in it."""

@@ -22,6 +22,7 @@ from foreglow.runs.frame_line import Box, FrameLine, check_probabilities
 from foreglow.runs.frames_file import own_threshold, read_frame_lines
 from foreglow.runs.json_lines import Whole, checked
 from foreglow.types import LIGHT_KINDS
+from foreglow.types.arrays import check_kind, check_numbers
 from foreglow.whole_files import write_atomic
 
 
@@ -45,18 +46,13 @@ class Predictions:
     light_kinds: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("boxes_xyxy_px", "scores", "direct_probabilities", "light_kinds"):
+            check_kind(f"Predictions.{name}", getattr(self, name), Mapping)
         if self.boxes_xyxy_px.keys() != self.scores.keys():
             raise ValueError("Predictions.scores: expected the same images as boxes_xyxy_px")
         for image_id, boxes in self.boxes_xyxy_px.items():
-            if boxes.ndim != 2 or boxes.shape[1] != 4:
-                raise ValueError(
-                    f"Predictions.boxes_xyxy_px: image {image_id}: expected shape (N, 4), got {boxes.shape}"
-                )
-            if self.scores[image_id].shape != (len(boxes),):
-                raise ValueError(
-                    f"Predictions.scores: image {image_id}: expected shape ({len(boxes)},), "
-                    f"got {self.scores[image_id].shape}"
-                )
+            check_numbers(f"Predictions.boxes_xyxy_px: image {image_id}", boxes, (None, 4))
+            check_numbers(f"Predictions.scores: image {image_id}", self.scores[image_id], (len(boxes),))
 
 
 @checked

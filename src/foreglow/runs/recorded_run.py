@@ -18,7 +18,6 @@ import numpy as np
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
 from foreglow.datasets.pvdn import is_pvdn
-from foreglow.files import check_one_of
 from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.runs.frame_line import FrameLine
 from foreglow.runs.frames_file import line_to_result, read_frame_lines
@@ -27,6 +26,7 @@ from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import BeamMode, Frame, FrameResult, TrackState
 from foreglow.whole_files import atomic_path, write_atomic
+from foreglow.wording import check_one_of
 
 if TYPE_CHECKING:
     import pandas as pd

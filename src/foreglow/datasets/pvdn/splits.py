@@ -7,7 +7,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from foreglow.files import check_is_folder, check_one_of
+from foreglow.files import check_is_folder
+from foreglow.wording import check_one_of
 
 SplitName: TypeAlias = Literal["train", "val", "test"]
 SPLIT_NAMES: tuple[SplitName, ...] = ("train", "val", "test")

@@ -23,7 +23,7 @@ from foreglow.datasets.json_files import write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
-from foreglow.files import check_one_of, to_json
+from foreglow.files import to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
@@ -32,6 +32,7 @@ from foreglow.lab.learning.kept_files import checksum, checksum_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
+from foreglow.wording import check_one_of
 
 Labels: TypeAlias = NDArray[np.int8]
 

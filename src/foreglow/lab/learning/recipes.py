@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 
 from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import FrozenModel, read_toml, validated
-from foreglow.files import check_one_of
 from foreglow.lab.learning.samples import Inputs, Jitter
 from foreglow.types import KINDS
+from foreglow.wording import check_one_of
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 

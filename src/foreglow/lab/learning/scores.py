@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logit
 
-from foreglow.files import check_one_of
 from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log_loss
+from foreglow.wording import check_one_of
 
 
 @dataclass(frozen=True, slots=True)

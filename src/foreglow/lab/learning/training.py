@@ -23,7 +23,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foreglow.files import check_one_of
 from foreglow.lab.evaluation.boxes.score_calibration import log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.augmentation import augment, blended
@@ -43,6 +42,7 @@ from foreglow.lab.learning.samples import Samples, check_learnable, set_bounds, 
 from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 from foreglow.whole_files import write_atomic
+from foreglow.wording import check_one_of
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 """An untrained network, called as `network(crops, features)`; gives logits of shape (N, `Recipe.num_outputs`)."""

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.pen import REFERENCE_HEIGHT_PX, Pen
 from foreglow.display.tone import Tone
-from foreglow.files import MIB, number_in, read_text, shortened
+from foreglow.files import MIB, number_in, read_text
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.fine_tuning import Judged
 from foreglow.lab.learning.training_progress import Epoch
 from foreglow.whole_files import open_atomic, write_atomic
+from foreglow.wording import shortened
 
 CURVES, PICTURE = "curves.csv", "curves.png"
 

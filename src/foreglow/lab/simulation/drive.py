@@ -15,7 +15,6 @@ from foreglow.config import preset
 from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.datasets.simulated.light_maps import reduced
 from foreglow.datasets.simulated.shares import BoxShares, load_arrow
-from foreglow.files import check_one_of
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.exposure import Exposure, Imager
 from foreglow.lab.simulation.camera.imager import ElectronImager
@@ -36,6 +35,7 @@ from foreglow.photometry import Headlamps, read_headlamps
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame
+from foreglow.wording import check_one_of
 
 MAX_TAIL_SHARE = 0.2
 """Largest share of the scene's own veiling glare in any variant."""

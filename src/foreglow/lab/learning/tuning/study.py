@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foreglow.files import check_one_of
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, PAPER, SPACES, Space
 from foreglow.plugins import first_line_of
+from foreglow.wording import check_one_of
 
 if TYPE_CHECKING:
     import optuna

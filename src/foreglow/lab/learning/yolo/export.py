@@ -17,12 +17,12 @@ from pydantic import BaseModel, Field
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
-from foreglow.files import check_one_of
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
+from foreglow.wording import check_one_of
 
 CLASS_NAME = "light_artifact"
 SETTINGS_NAME, DATA_NAME = "export.json", "data.yaml"

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Any, Literal, TypeAlias
 
 from foreglow.config import validated
-from foreglow.files import check_one_of
 from foreglow.lab.simulation.scenes import courses
 from foreglow.lab.simulation.scenes.assembly import Journey, assembled
 from foreglow.lab.simulation.scenes.country import cyclists, following, queue
@@ -20,6 +19,7 @@ from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoBeam, RoadSpec, 
 from foreglow.lab.simulation.scenes.stream import COUNTRY, drawn_kind, drawn_vehicle, steady
 from foreglow.lab.simulation.scenes.surroundings import House, SurroundingsSpec
 from foreglow.lab.simulation.scenes.town import town
+from foreglow.wording import check_one_of
 
 SWAPPED = {
     "left": "right",

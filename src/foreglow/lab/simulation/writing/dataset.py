@@ -34,7 +34,6 @@ from foreglow.datasets.simulated.files import (
     sequence_name,
     write_info,
 )
-from foreglow.files import check_one_of
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
@@ -49,6 +48,7 @@ from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write
 from foreglow.lab.simulation.writing.street_data import StreetDataError, check_ego_on_map
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.whole_files import is_temporary
+from foreglow.wording import check_one_of
 
 SIMULATOR_VERSION = 2
 """Raise it whenever the same scene gives other bytes: then finished scenes of an earlier version are not mixed in."""
