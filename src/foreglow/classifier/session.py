@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from foreglow.files import check_file, read_bytes
-from foreglow.models import BUNDLED
+from foreglow.files import check_file, read_bytes, read_plain_json
+from foreglow.models import BUNDLED, SHA256, model_path
 from foreglow.protobuf import protobuf_fields
 from foreglow.wording import check_one_of, shortened
 
@@ -110,6 +112,30 @@ def model_errors() -> tuple[type[Exception], ...]:
         errors.RuntimeException,
         UnicodeDecodeError,  # a name that is no text
     )
+
+
+def check_whole(path: Path) -> None:
+    """Passes a model that is as it was written, as far as that is known: of the one that ships, and of trainings.
+
+    A training writes the SHA-256 of its `model.onnx` into the `summary.json` beside it. ONNX Runtime itself takes any
+    weights, and a model has no checksums.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file is another one.
+    """
+    known, remedy = "", ""
+    if path == model_path(Path(BUNDLED)):
+        known, remedy = SHA256, "install Foreglow anew"
+    elif path.name == "model.onnx" and path.is_file():
+        with contextlib.suppress(FileNotFoundError, ValueError):  # something else may be called so
+            summary = read_plain_json(path.with_name("summary.json"))
+            digest = summary.get("model_sha256") if isinstance(summary, dict) else None
+            known = digest if isinstance(digest, str) else ""
+        remedy = "repeat that training's command, or keep another model elsewhere"
+    if known and hashlib.sha256(read_bytes(path, MAX_MODEL_BYTES)).hexdigest() != known:
+        origin = "that ships" if known is SHA256 else "of the training here, as its summary.json has it"
+        raise ValueError(f"{path}: expected the model {origin}, found it damaged or replaced; {remedy}")
 
 
 def unusable(path: Path, error: Exception) -> ValueError:
