@@ -104,9 +104,8 @@ def train_yolo(
         ValueError: If a file is broken, or `folder` holds a run with other settings.
         ModuleNotFoundError: If the library is not installed.
     """
-    if config.weights and not Path(config.weights).is_file():
-        raise FileNotFoundError(f"{config.weights}: no such file, expected weights to start from")
     backend = BACKENDS[config.backend]()
+    backend.check(config)
     origin = {"data": str(data), f"{config.backend}_version": backend.version()} | provenance()
     exported, data_file = _exported(data, folder, config, preset_name, progress)
     settings = YoloSettings(training=config, boxes=exported.boxes, export_size_px=exported.size_px)
