@@ -53,7 +53,7 @@ CASES: dict[str, Callable[[], object]] = {
     "number": lambda: checked_number("number", "x" * MANY),
     "long number": lambda: checked_number("number", 10 ** (2 * MANY)),
     "time": lambda: Frame(np.zeros((64, 64), np.uint8), 10 ** (2 * MANY), 0),
-    "focal length": lambda: dataclasses.replace(CAMERA, focal_px=np.ones(MANY)),
+    "focal length": lambda: dataclasses.replace(CAMERA, focal_px=np.ones(MANY)),  # type: ignore[arg-type]
 }
 
 

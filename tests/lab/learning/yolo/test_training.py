@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -217,6 +218,22 @@ def test_damaged_weights_to_start_from(monkeypatch: pytest.MonkeyPatch, data: Pa
     with pytest.raises(ValueError, match=r"yolov5su\.pt: "):
         train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(weights)))
     assert not (tmp_path / "run").exists()
+
+
+def test_lost_weights_are_made_anew(calls: Calls, data: Path, tmp_path: Path) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    shutil.rmtree(run.folder / "training")
+    assert train_yolo(data, tmp_path / "run", config(calls.name)).weights.is_file()
+    assert len(calls.trained) == 2
+
+
+@pytest.mark.parametrize("name", ["config.json", "results.json"])
+@pytest.mark.parametrize("content", [b"", b"junk", b"[]", b"{}", b"[" * 100_000, b"\xff\xfe"])
+def test_damaged_records_are_told_by_name(calls: Calls, data: Path, tmp_path: Path, name: str, content: bytes) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    (run.folder / name).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{name}: "):
+        train_yolo(data, tmp_path / "run", config(calls.name))
 
 
 def test_junk_among_the_epochs_of_ultralytics(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def train_yolo(
         check_claim(path, settings, known, "run")
     else:
         write_atomic(path, (json.dumps(settings.model_dump() | origin, indent=1) + "\n").encode())
-    if not (folder / RESULTS_NAME).exists():
+    if not (folder / RESULTS_NAME).exists() or not read_yolo_run(folder).weights.is_file():
         started = time.perf_counter()
         weights = backend.train(data_file, folder / "training", config)
         detector = backend.load(weights, config)
