@@ -150,7 +150,8 @@ def test_a_damaged_state_is_made_anew_or_said(
         assert calls == ["detector"]
     state.write_text(json.dumps(whole | {"detector": {k: v for k, v in whole["detector"].items() if k != field}}))
     assert run_experiments(plan, tmp_path, progress=quiet)["detector"].results == {}
-    for value in (None, [], {}, math.nan, "x" if field in ("seconds", "load", "has_failed") else 1):
+    values: list[Any] = [None, [], {}, math.nan, "x" if field in ("seconds", "load", "has_failed") else 1]
+    for value in values:
         state.write_text(json.dumps(whole | {"detector": whole["detector"] | {field: value}}))
         with pytest.raises(ValueError, match=rf"{run.STATE}: "):
             run_experiments(plan, tmp_path, progress=quiet)
