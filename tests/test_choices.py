@@ -39,8 +39,8 @@ CASES: dict[str, tuple[str, Callable[[Any], object]]] = {
     "Recording.__init__": ("on_error", lambda value: Recording(HERE / "a.mcap", on_error=value)),
     "Video.__init__": ("on_error", lambda value: Video(HERE / "a.mp4", on_error=value)),
     "LabelFile.__init__": ("on_error", lambda value: LabelFile(HERE / "a.json", on_error=value)),
-    "split_folder": ("name", lambda value: split_folder(HERE, value)),
-    "split_in": ("name", lambda value: split_in(HERE, value)),
+    "split_folder": ("split", lambda value: split_folder(HERE, value)),
+    "split_in": ("split", lambda value: split_in(HERE, value)),
     "export_yolo": ("splits", lambda value: export_yolo(HERE, HERE / "export", splits=("val", value))),
     "draw_scenes": ("split", lambda value: draw_scenes(1, 0, value)),
     "long_drives": ("split", lambda value: long_drives(1, 0, value)),
@@ -49,7 +49,7 @@ CASES: dict[str, tuple[str, Callable[[Any], object]]] = {
     "RecordedRun.to_pandas": ("table", lambda value: run().to_pandas(value)),
     "RecordedRun.write_parquet": ("table", lambda value: run().write_parquet(HERE / "a.parquet", value)),
 }
-"""By function, the argument and how it is called."""
+"""By function, the argument as it is told, and how it is called."""
 
 READ_ONLY = {"Artifact.__init__"}
 """Values that are only read from files, whose readers check them."""

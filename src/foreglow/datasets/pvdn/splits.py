@@ -35,7 +35,7 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
         FileNotFoundError: If there is no such folder or no such split.
         ValueError: If there are several, such as those of `day` and `night`, or no split is ever called so.
     """
-    check_one_of(name, SplitName, "name")
+    check_one_of(name, SplitName, "split")
     root = Path(data)
     check_is_folder(root, "a data set with train, val and test")
     found = sorted(path for path in (root / name, *root.glob(f"*/{name}")) if is_split(path))
@@ -54,7 +54,7 @@ def split_in(data: Path | str, name: SplitName) -> Path:
         FileNotFoundError: If there is no such folder or no such split.
         ValueError: If there are several, or no split is ever called so.
     """
-    check_one_of(name, SplitName, "name")
+    check_one_of(name, SplitName, "split")
     return Path(data) if is_split(Path(data)) else split_folder(data, name)
 
 
