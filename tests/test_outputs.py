@@ -164,6 +164,7 @@ def test_no_results_among_the_splits_of_a_data_set(tmp_path: Path) -> None:
             check_outputs({"DATA": data}, {}, {"--out": folder})
         assert "does not lie in the data set DATA" in complaint("reproduce", data, "--out", folder)
         assert not folder.exists()
+    check_outputs({"--images": data}, {}, {"--out": data / "x"})  # such as the working folder, with a data set in it
 
 
 def test_the_images_of_a_split_are_no_place_for_results(tmp_path: Path) -> None:

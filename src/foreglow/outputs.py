@@ -159,7 +159,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
             if _lies_in(path, read) and (_is_foreign(path) or _is_split(path) or _is_in_split(path, PARTS_OF_SPLIT)):
                 raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
-            if _lies_in(path, read) and _has_split(read) and not _is_split(read):
+            is_data_set = other.startswith("DATA") and _has_split(read) and not _is_split(read)  # no folder around one
+            if is_data_set and _lies_in(path, read):
                 raise ValueError(f"{name} {path}: expected a folder that does not lie in the data set {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
