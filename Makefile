@@ -166,6 +166,7 @@ model: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m foreglow.lab.learning.joining runs/compact/model.onnx runs/related/model.onnx \
 	    --judge $(sort $(MODEL_JUDGE)) --cache runs/samples --out runs/foreglow.onnx
 	cp runs/foreglow.onnx src/foreglow/models/foreglow.onnx
+	@echo "now write its SHA-256 into src/foreglow/models/__init__.py and foreglow.md: $$(sha256sum runs/foreglow.onnx)"
 
 # What `foreglow train --from` mixes in: whole images of the drives that the model learnt from, with 3,000 samples, made of what
 # `make model` left, or of the images again; and others of validation drives, by camera, that judge what it forgets.

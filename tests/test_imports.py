@@ -16,7 +16,7 @@ import foreglow
 
 SOURCE = Path(foreglow.__file__).parent
 
-VALUES = {"types", "geometry", "config", "photometry", "rays", "street"}
+VALUES = {"types", "geometry", "config", "photometry", "rays", "street", "wording"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
 BASES = {"files", "whole_files", "provenance", "parallel", "plugins", "stopwatch", "own_files"}
 CAR = VALUES | STAGES | BASES | {"calibration", "maps", "_native", "pipeline", "datasets", "runs", "runtime", "display"}
@@ -24,7 +24,8 @@ LAB = {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports", "lab.s
 
 ALLOWED: dict[str, set[str]] = {
     "whole_files": set(),
-    "files": {"whole_files"},
+    "wording": set(),
+    "files": {"whole_files", "wording"},
     "provenance": set(),
     "plugins": set(),
     "parallel": {"plugins"},
@@ -32,14 +33,14 @@ ALLOWED: dict[str, set[str]] = {
     "models": set(),
     "protobuf": set(),
     "_native": set(),
-    "geometry": set(),
-    "types": {"geometry"},
-    "config": {"types", "geometry", "files"},
-    "photometry": {"types", "geometry", "config", "files"},
+    "geometry": {"wording"},
+    "types": {"geometry", "wording"},
+    "config": {"types", "geometry", "files", "wording"},
+    "photometry": {"types", "geometry", "config", "files", "wording"},
     "rays": {"types", "geometry"},
     "street": {"types", "geometry", "config"},
-    "calibration": {"types", "geometry", "config", "files"},
-    "maps": {"types", "geometry", "street", "files"},
+    "calibration": {"types", "geometry", "config", "files", "wording"},
+    "maps": {"types", "geometry", "street", "files", "wording"},
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
     "classifier": VALUES | {"models", "_native", "files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},

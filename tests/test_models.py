@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +11,9 @@ import pytest
 
 import foreglow
 from foreglow.classifier import OnnxClassifier
+from foreglow.config import ClassifierConfig
 from foreglow.datasets import read_image
-from foreglow.models import BUNDLED, model_path
+from foreglow.models import BUNDLED, SHA256, model_path
 from foreglow.types import Frame
 from tests.shared_data import shared_file
 from tests.stand_ins import night_image
@@ -20,6 +23,42 @@ def test_it_has_a_card_and_is_small() -> None:
     path = model_path(Path(BUNDLED))
     assert path.stat().st_size <= 1_000_000
     assert path.with_suffix(".md").read_text(encoding="utf-8").startswith("# ")
+
+
+def test_its_checksums_are_those_of_the_file() -> None:
+    path = model_path(Path(BUNDLED))
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == SHA256
+    assert f"SHA-256 begins {SHA256[:16]}" in path.with_suffix(".md").read_text(encoding="utf-8")
+
+
+def test_a_wrong_bit_in_its_weights_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = model_path(Path(BUNDLED))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    (tmp_path / "foreglow.onnx").write_bytes(data)
+    monkeypatch.setattr("foreglow.models.__file__", str(tmp_path / "__init__.py"))
+    with pytest.raises(ValueError, match=r"foreglow\.onnx: expected the model that ships, found it damaged"):
+        foreglow.Pipeline()
+
+
+def test_a_model_of_a_training_is_the_one_that_it_wrote(tmp_path: Path) -> None:
+    model, summary = tmp_path / "model.onnx", tmp_path / "summary.json"
+    data = model_path(Path(BUNDLED)).read_bytes()
+    model.write_bytes(data)
+    summary.write_text(json.dumps({"model_sha256": hashlib.sha256(data).hexdigest()}))
+    config = ClassifierConfig(model=model)
+    assert OnnxClassifier(config).spec.together
+    for place in (len(data) // 3, len(data) // 2, len(data) - 20_000):
+        damaged = bytearray(data)
+        damaged[place] ^= 1
+        model.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"model\.onnx: expected the model of the training here, .* damaged"):
+            OnnxClassifier(config)
+    for other in ("junk", "[]", "{}", '{"model_sha256": null}', '{"is_complete": true}'):  # no training's
+        summary.write_text(other)
+        OnnxClassifier(config)
+    summary.unlink()
+    OnnxClassifier(config)
 
 
 def test_the_default_pipeline_classifies() -> None:

@@ -156,6 +156,17 @@ def test_a_split_of_an_input_is_no_folder_for_results(tmp_path: Path) -> None:
         check_outputs({"DATA": tmp_path / "data"}, {}, {"--out": split})
 
 
+def test_no_results_among_the_splits_of_a_data_set(tmp_path: Path) -> None:
+    """What `reproduce` and `simulate` write has splits, too, which the next command would find beside the others."""
+    data = make_pvdn(tmp_path).parents[1]
+    for folder in (data / "x", data / "night" / "x", data / "x" / "deeper"):
+        with pytest.raises(ValueError, match=r"--out .*: expected a folder that does not lie in the data set DATA"):
+            check_outputs({"DATA": data}, {}, {"--out": folder})
+        assert "does not lie in the data set DATA" in complaint("reproduce", data, "--out", folder)
+        assert not folder.exists()
+    check_outputs({"--images": data}, {}, {"--out": data / "x"})  # such as the working folder, with a data set in it
+
+
 def test_the_images_of_a_split_are_no_place_for_results(tmp_path: Path) -> None:
     split = make_pvdn(tmp_path)
     for source in (split, split.parents[1], split / "images/S00003"):

@@ -12,7 +12,6 @@ import json
 import math
 import os
 import re
-import reprlib
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -25,6 +24,7 @@ from pydantic import BaseModel
 from pydantic_core import from_json, to_jsonable_python
 
 from foreglow.whole_files import write_atomic
+from foreglow.wording import shortened
 
 _FILE_URI = "file://"
 
@@ -361,11 +361,6 @@ def read_plain_json(path: Path) -> Any:
     return value
 
 
-_SHORT = reprlib.Repr()
-_SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 3, 4, 6, 6
-_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
-
-
 def number_in(text: str) -> float:
     """The number that a text is, finite or not.
 
@@ -375,16 +370,6 @@ def number_in(text: str) -> float:
     if not text.isascii():
         raise ValueError(f"could not convert string to float: {shortened(text)}")
     return float(text.replace("_", "?"))
-
-
-def shortened(value: object) -> str:
-    """`value` as Python writes it, cut for a message, whatever its size.
-
-    >>> shortened([1, "x" * 1000])[:6], len(shortened([1, "x" * 1000]))
-    ("[1, 'x", 80)
-    """
-    text = _SHORT.repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _check_size(path: Path, num_bytes: int, max_bytes: float) -> None:

@@ -11,11 +11,14 @@ A rotation `world_from_vehicle` has the vehicle's forward, left and up as column
 from __future__ import annotations
 
 import contextlib
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from foreglow.wording import shortened
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +57,7 @@ def checked_floats(field: str, values: object) -> Floats:
         array = np.array(values)
         if array.dtype.kind in "biuf":
             return array.astype(np.float64)
-    raise ValueError(f"{field}: expected numbers, got {values!r:.80}")
+    raise ValueError(f"{field}: expected numbers, got {shortened(values)}")
 
 
 def checked_number(field: str, value: object) -> float:
@@ -70,7 +73,25 @@ def checked_number(field: str, value: object) -> float:
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):
             return float(value)
-    raise ValueError(f"{field}: expected a number, got {value!r:.40}")
+    raise ValueError(f"{field}: expected a number, got {shortened(value)}")
+
+
+def checked_share(field: str, value: object) -> float:
+    """A number from 0 to 1, such as a threshold of scores, as a plain one.
+
+    Raises:
+        ValueError: If it is another one, or none; the message begins with `field`.
+
+    >>> checked_share("threshold", 2)
+    Traceback (most recent call last):
+    ValueError: threshold: expected a number from 0 to 1, got 2
+    """
+    number = math.nan
+    with contextlib.suppress(ValueError):
+        number = checked_number(field, value)
+    if not 0.0 <= number <= 1.0:
+        raise ValueError(f"{field}: expected a number from 0 to 1, got {shortened(value)}")
+    return number
 
 
 def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
@@ -123,10 +144,10 @@ class Pose:
             checked_floats("Pose.rotation", self.rotation),
         )
         if position.shape != (3,) or not np.isfinite(position).all():
-            raise ValueError(f"Pose.position_m: expected three finite numbers, got {self.position_m!r}")
+            raise ValueError(f"Pose.position_m: expected three finite numbers, got {shortened(self.position_m)}")
         is_rotation = turned.shape == (3, 3) and np.allclose(turned @ turned.T, np.eye(3), atol=1e-6)
         if not is_rotation or np.linalg.det(turned) < 0:  # not a reflection either
-            raise ValueError(f"Pose.rotation: expected a rotation of shape (3, 3), got {self.rotation!r}")
+            raise ValueError(f"Pose.rotation: expected a rotation of shape (3, 3), got {shortened(self.rotation)}")
         for name, array in (("position_m", position), ("rotation", turned)):
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -241,12 +262,12 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("width_px", "height_px"):
             if not isinstance(getattr(self, name), int | np.integer):
-                raise ValueError(f"Camera.{name}: expected a whole number, got {getattr(self, name)!r:.40}")
+                raise ValueError(f"Camera.{name}: expected a whole number, got {shortened(getattr(self, name))}")
         if self.width_px < 1 or self.height_px < 1:
             raise ValueError(f"Camera: expected a size of at least 1x1, got {self.width_px}x{self.height_px}")
         for name, count in (("focal_px", 2), ("centre_px", 2), ("distortion", 5)):
             if checked_floats(f"Camera.{name}", getattr(self, name)).shape != (count,):
-                raise ValueError(f"Camera.{name}: expected {count} numbers, got {getattr(self, name)!r:.80}")
+                raise ValueError(f"Camera.{name}: expected {count} numbers, got {shortened(getattr(self, name))}")
         for name, kind in (("vehicle_from_camera", Pose), ("mount_sigmas", MountSigmas)):
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__

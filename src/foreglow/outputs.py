@@ -126,7 +126,8 @@ def running_command() -> str | None:
 def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:
     """Checks that no output is an input, lies over one or over a part of one, and that no two outputs are one file.
 
-    No file lies among the images or labels of a data set, whether that is read or not, except for reports.
+    No file lies among the images or labels of a data set, whether that is read or not, except for reports; and no
+    folder among the splits of one that is read, where results may look like a further split.
 
     Nor may a folder hold the results of another command than the running one. What is to be overwritten must be a
     regular file. Only reports (`.html`) may lie beside what they are about, and be written again. That a file can be
@@ -165,6 +166,9 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
             if _lies_in(path, read) and (_is_foreign(path) or _is_split(path) or _is_in_split(path, PARTS_OF_SPLIT)):
                 raise ValueError(f"{name} {path}: expected a new folder for the results, not a part of {other} {read}")
+            is_data_set = other.startswith("DATA") and _has_split(read) and not _is_split(read)  # no folder around one
+            if is_data_set and _lies_in(path, read):
+                raise ValueError(f"{name} {path}: expected a folder that does not lie in the data set {other} {read}")
             if read.is_file() and any(
                 _is_same(path / result, read) or _is_same(partial_path(path / result), read) for result in RESULT_FILES
             ):

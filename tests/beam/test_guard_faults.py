@@ -293,6 +293,17 @@ def test_several_faults_have_all_their_names() -> None:
     assert_low(command, "x", "image_too_old", "image_black", "no_camera", "too_slow", "no_tracks")
 
 
+@pytest.mark.parametrize("time_ns", [-(10**400), -(2**63), 0, 2**63, 10**400])
+@pytest.mark.parametrize("is_vehicle", [None, np.zeros(0, np.bool_), np.ones(3), np.array(["x"]), np.zeros((2, 2))])
+@pytest.mark.parametrize("names", [(), ("",), ["\udcff" * 1000], [str(number) for number in range(1000)]])
+def test_no_value_raises(time_ns: int, is_vehicle: Any, names: Any) -> None:
+    frame = frame_at(25)
+    command = next_check(running(), frame, time_ns=time_ns, is_vehicle=is_vehicle, pipeline_faults=names)
+    assert command.mode == BeamMode.LOW
+    assert GuardFault.TOO_OLD in command.faults
+    assert (GuardFault.BAD_TRACKS in command.faults) == (is_vehicle is not None and len(is_vehicle) > 0)
+
+
 def test_reset() -> None:
     guard = running()
     next_check(guard, frame_at(25), tracks_of([AHEAD], [50.0], ages_s=9.0))

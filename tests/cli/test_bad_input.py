@@ -97,7 +97,7 @@ def test_broken_split_is_one_line(tmp_path: Path, config: Path) -> None:
     [
         (["--preset", "best"], "preset: expected one of paper, baseline, foreglow, got 'best'"),
         (["--config", "absent.toml"], "absent.toml: no such file"),
-        (["--on-error", "ignore"], "on_error: expected stop, skip or mark, got 'ignore'"),
+        (["--on-error", "ignore"], "on_error: expected one of stop, skip, mark, got 'ignore'"),
         (["--model", "absent.onnx"], "absent.onnx"),
     ],
 )

@@ -80,7 +80,7 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     experiment = ("experiment", "detector", data, "--out", tmp_path / "out")
     assert "rows: expected some of baseline" in complaint(*experiment, "--rows", "best")
     assert "no such model, given with --our-model" in complaint(*experiment, "--our-model", tmp_path / "absent")
-    assert "expected the split" in complaint(*experiment, "--split", "all")
+    assert "split: expected one of train, val, test, got 'all'" in complaint(*experiment, "--split", "all")
 
 
 @pytest.mark.usefixtures("undrawn", "few_rules")
@@ -203,5 +203,5 @@ def test_bad_input_of_the_distance_experiment(data: Path, tmp_path: Path) -> Non
     experiment = ("experiment", "distance", data, "--out", tmp_path / "out")
     assert "estimators: expected some of gp, psd_3d" in complaint(*experiment, "--estimators", "radar")
     assert "expected the range of each light, a calibration and the road ahead" in complaint(*experiment)
-    assert "expected the split" in complaint(*experiment, "--split", "all")
+    assert "split: expected one of train, val, test, got 'all'" in complaint(*experiment, "--split", "all")
     assert not (tmp_path / "out").exists()

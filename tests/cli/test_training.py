@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import csv
+import dataclasses
 import json
 import math
 import re
@@ -26,8 +27,10 @@ from foreglow.lab.evaluation.boxes.box_quality import split_keypoints_px
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.fine_tuning import Judged
 from foreglow.lab.learning.recipes import RECIPES, read_recipe
+from foreglow.lab.learning.training import curves_csv
 from foreglow.lab.learning.training_progress import Epoch, TrainingBar
 from foreglow.lab.learning.training_run import train_model
+from foreglow.lab.reports.training_pictures import draw_curves
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
 from tests.cli.commands import complaint, foreglow_command
@@ -159,12 +162,62 @@ def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options
     assert "checkpoint.pt: epochs: expected that of the training begun here, 2, got 3; choose another folder" in line
 
 
+def test_damaged_results_are_made_anew(tmp_path: Path, options: list[object]) -> None:
+    """Damaged curves ended the same command with an internal error."""
+    out = tmp_path / "run"
+    command = (*options, "--out", out, "--epochs", 2)
+    assert foreglow_command(*command).exit_code == 0
+    made = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    for damage in (
+        lambda data: data[:100],
+        lambda _: b"junk",
+        lambda data: data.replace(b"0.", b"NaN."),
+        lambda _: b"",
+    ):
+        for name in made.keys() - {"checkpoint.pt"}:
+            (out / name).write_bytes(damage(made[name]))
+        again = foreglow_command(*command)
+        assert again.exit_code == 0, again.output
+        for name in made.keys() - {"summary.json"}:  # which says when it was
+            assert (out / name).read_bytes() == made[name], name
+        assert json.loads((out / "summary.json").read_text()).keys() == json.loads(made["summary.json"]).keys()
+
+
+def test_a_refused_training_tells_of_no_damaged_curves(tmp_path: Path, options: list[object]) -> None:
+    out = tmp_path / "run"
+    assert foreglow_command(*options, "--out", out, "--epochs", 1).exit_code == 0
+    (out / "curves.csv").write_text("junk")
+    line = complaint(*options, "--out", out, "--epochs", 3)
+    assert "checkpoint.pt: epochs: expected that of the training begun here, 1, got 3" in line
+
+
+CURVES = curves_csv([dataclasses.asdict(Epoch(1, 0.1, 0.5, 0.25, math.nan, 0.0, math.nan, math.nan, 2.0))])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a line for each epoch of a training, got none"),
+        ("junk\n", "expected a line for each epoch of a training, got none"),
+        ("junk\nmore\n", "line 2: number: expected a number, got nothing"),
+        (CURVES.replace("0.25", "x"), "line 2: val_loss: expected a number, got 'x'"),
+        (CURVES[: CURVES.rindex(",")], "line 2: threshold: expected a number, got nothing"),
+        (CURVES.replace("0.25", '"' + "1" * 200_000), "expected the curves of a training: field larger than"),
+    ],
+)
+def test_damaged_curves_are_told_by_their_place(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "curves.csv").write_text(text)
+    with pytest.raises(ValueError, match=f"^{re.escape(str(tmp_path))}/curves.csv: {re.escape(message)}"):
+        draw_curves(tmp_path / "curves.csv", tmp_path / "curves.png")
+    assert not (tmp_path / "curves.png").exists()
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         (["--recipe", "best"], "recipe: expected one of paper, compact, related, foreglow, got 'best'"),
         (["--precision", "fp16"], "precision: Input should be 'fp32' or 'bf16'"),
-        (["--device", "tpu"], "device: expected auto, cpu or cuda, got 'tpu'"),
+        (["--device", "tpu"], "device: expected one of auto, cpu, cuda, got 'tpu'"),
         (["--recipe-file", "none.toml"], "none.toml: no such file"),
     ],
 )

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import os
 import sys
 import types
@@ -75,11 +76,28 @@ def test_a_folder_that_cannot_be_used(folder: Path, tmp_path: Path) -> None:
         ImageFolder(tmp_path / "empty")
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         ImageFolder(tmp_path / "absent")
-    with pytest.raises(ValueError, match="rate_hz: expected a positive number, got 0"):
-        ImageFolder(folder, rate_hz=0)
     bad: Any = "ignore"
-    with pytest.raises(ValueError, match="on_error: expected stop, skip or mark, got 'ignore'"):
+    with pytest.raises(ValueError, match="on_error: expected one of stop, skip, mark, got 'ignore'"):
         ImageFolder(folder, on_error=bad)
+
+
+@pytest.mark.parametrize("rate_hz", [0, -1, None, "x", True, [], 1e-300, 1e300, 10**400, math.nan, math.inf])
+def test_a_rate_that_gives_no_times(folder: Path, tmp_path: Path, rate_hz: Any) -> None:
+    """All images had the time 0, or a time of thousands of years; other sources took anything."""
+    video = tmp_path / "night.mp4"
+    video.write_bytes(b"")
+    for path in (folder, video, tmp_path / "absent"):
+        with pytest.raises(ValueError, match=r"^rate_hz: expected a number from 0\.001 to 1e\+06, got ") as refused:
+            open_source(path, rate_hz=rate_hz)
+        assert len(str(refused.value)) < 150
+    with pytest.raises(ValueError, match=r"^rate_hz: expected a number"):
+        ImageFolder(folder, rate_hz=rate_hz)
+
+
+def test_the_rates_at_the_ends(folder: Path) -> None:
+    for rate_hz in (1e-3, 1e6):
+        times_ns = [frame.timestamp_ns for frame in ImageFolder(folder, rate_hz=rate_hz)]
+        assert times_ns == [0, round(1e9 / rate_hz), round(2e9 / rate_hz)]
 
 
 def make_photograph(path: Path, *times: str, seed: int = 0) -> None:

@@ -149,6 +149,37 @@ def test_a_broken_line_names_itself(tmp_path: Path, old: str, new: str, complain
         read_tracks(path)
 
 
+@pytest.mark.parametrize("read", [read_tracks, lambda path: read_results(path, 0.5), read_gaps, read_predictions])
+@pytest.mark.parametrize("has_kinds", [False, True])
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("direct", [0.5, 0.5], "direct: expected 1, one a box, got 2"),
+        ("direct", [], "direct: expected 1, one a box, got 0"),
+        ("direct", [2.0], "direct.0: expected a number from 0 to 1, got 2.0"),
+        ("direct", [-0.5], "direct.0: expected a number from 0 to 1, got -0.5"),
+        ("direct", [math.nan], "direct.0: "),
+        ("direct", ["x"], "direct.0: "),
+        ("scores", [0.5, 0.5], "scores: expected 1, one a box, got 2"),
+        ("scores", [1.5], "scores.0: expected a number from 0 to 1, got 1.5"),
+        ("light_kinds", [], "light_kinds: expected 1, one a box, got 0"),
+        ("ranges_m", [1.0, 2.0], "ranges_m: expected 1, one a box, got 2"),
+        ("range_sigmas_m", [], "range_sigmas_m: expected 1, one a box, got 0"),
+    ],
+)
+def test_every_reader_refuses_values_that_fit_no_box(
+    tmp_path: Path, read: Any, has_kinds: bool, field: str, value: list[Any], complaint: str
+) -> None:
+    """`direct` was not looked at beside `light_kinds`."""
+    path = write_run(tmp_path / "frames.jsonl", tracks_of(BOXES))
+    line = json.loads(path.read_text())
+    if has_kinds:
+        line["light_kinds"] = [[0.25, 0.25, 0.25, 0.25]]
+    path.write_text(json.dumps(line | {field: value}))
+    with pytest.raises(ValueError, match=rf"frames\.jsonl: line 1: {complaint}"):
+        read(path)
+
+
 def test_each_frame_once(tmp_path: Path) -> None:
     path = write_run(tmp_path / "frames.jsonl", tracks_of([]))
     path.write_text(path.read_text() * 2)

@@ -75,6 +75,9 @@ class Guard:
     ) -> BeamCommand:
         """The command that may be carried out.
 
+        Types are the caller's: the values check their own, and an argument that is none of these classes raises as
+        Python has it. No value raises: what a guard must not trust is a fault, and means low beam.
+
         Args:
             wanted: The policy's command for the frame.
             tracks: The frame's tracks; None is a fault.
@@ -84,7 +87,7 @@ class Guard:
             is_vehicle: Shape (M,), which tracks are a vehicle's lamps; None for all. Only plausible tracks count.
 
         Raises:
-            ValueError: If the camera's distortion cannot be undone; nothing else raises.
+            ValueError: If the camera's distortion cannot be undone.
         """
         elapsed_s, faults = self._clock_faults(frame.timestamp_ns, frame.timestamp_ns if time_ns is None else time_ns)
         faults += self._watch.faults(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foreglow.classifier.colour import kinds_by_colour, redness
 from foreglow.classifier.inputs import MAX_CROP_PX, NUMS_FEATURES, ClassifierInputs, InputMaker, InputSpec
-from foreglow.classifier.session import model_errors, open_session, unusable
+from foreglow.classifier.session import check_whole, model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
 from foreglow.types import KINDS, Detections, Frame, Proposals
@@ -48,13 +48,15 @@ class OnnxClassifier:
 
         Raises:
             FileNotFoundError: If the model does not exist.
-            ValueError: If no model is configured, the file is not an ONNX model, or its input or output is not as
-                described above; the message names path, field and expectation.
+            ValueError: If no model is configured, the file is not an ONNX model, not the one that ships or that a
+                training wrote there, or its input or output is not as described above; the message names path, field
+                and expectation.
         """
         if config.model is None:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
         self.config = config
         self._path = model_path(config.model)
+        check_whole(self._path)
         self._session = open_session(self._path, config.num_threads, config.device)
         try:
             self._names, self.spec = _checked_inputs(self._path, config.support, self._session)

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from foreglow.files import check_file, read_bytes, shortened
-from foreglow.models import BUNDLED
+from foreglow.files import check_file, read_bytes, read_plain_json
+from foreglow.models import BUNDLED, SHA256, model_path
 from foreglow.protobuf import protobuf_fields
+from foreglow.wording import check_one_of, shortened
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
+
+Device: TypeAlias = Literal["cpu", "cuda"]
+"""What a network is computed on."""
 
 MAX_MODEL_BYTES = 1 << 29
 """Largest model file; ours has less than a megabyte."""
@@ -38,7 +44,7 @@ _OPERATION, _ATTRIBUTE = 4, 5  # of a node
 _BRANCH = 6  # of an attribute: a graph
 
 
-def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = "cpu") -> InferenceSession:
+def open_session(path: Path, num_threads: int, device: Device = "cpu") -> InferenceSession:
     """A sequential session that does not spin while it waits.
 
     Raises:
@@ -46,6 +52,7 @@ def open_session(path: Path, num_threads: int, device: Literal["cpu", "cuda"] = 
         IsADirectoryError: If it is a folder, such as that of a training.
         ValueError: If it is not an ONNX model that can be run, or is beyond a bound; or if there is no such device.
     """
+    check_one_of(device, Device, "device")
     if path.is_dir():
         within = f"{path / 'model.onnx'}" if (path / "model.onnx").is_file() else "model.onnx of a training"
         raise IsADirectoryError(f"{path}: expected an ONNX file such as {within}, got a folder")
@@ -105,6 +112,30 @@ def model_errors() -> tuple[type[Exception], ...]:
         errors.RuntimeException,
         UnicodeDecodeError,  # a name that is no text
     )
+
+
+def check_whole(path: Path) -> None:
+    """Passes a model that is as it was written, as far as that is known: of the one that ships, and of trainings.
+
+    A training writes the SHA-256 of its `model.onnx` into the `summary.json` beside it. ONNX Runtime itself takes any
+    weights, and a model has no checksums.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file is another one.
+    """
+    known, remedy = "", ""
+    if path == model_path(Path(BUNDLED)):
+        known, remedy = SHA256, "install Foreglow anew"
+    elif path.name == "model.onnx" and path.is_file():
+        with contextlib.suppress(FileNotFoundError, ValueError):  # something else may be called so
+            summary = read_plain_json(path.with_name("summary.json"))
+            digest = summary.get("model_sha256") if isinstance(summary, dict) else None
+            known = digest if isinstance(digest, str) else ""
+        remedy = "repeat that training's command, or keep another model elsewhere"
+    if known and hashlib.sha256(read_bytes(path, MAX_MODEL_BYTES)).hexdigest() != known:
+        origin = "that ships" if known is SHA256 else "of the training here, as its summary.json has it"
+        raise ValueError(f"{path}: expected the model {origin}, found it damaged or replaced; {remedy}")
 
 
 def unusable(path: Path, error: Exception) -> ValueError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -244,9 +245,10 @@ def train(
                 summary, judged = fine_tune(data, start, chosen, configuration, out, mix=mix or (), **how)
     except KeyboardInterrupt:
         typer.echo(f"{out}: the same command continues from the last whole epoch", err=True)
+        with contextlib.suppress(ValueError):  # curves that were damaged before; the training makes them anew
+            draw_training(out)
         raise
-    finally:  # also for a training that was interrupted
-        draw_training(out)
+    draw_training(out)
     if start is None:
         typer.echo("\n".join(_training_lines(summary, out)))
     else:

@@ -9,7 +9,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 
-from foreglow.files import shortened
+from foreglow.wording import shortened
 
 MAX_NUMBER = 1e12
 """No number of a configuration is larger: what is computed from larger ones may overflow."""

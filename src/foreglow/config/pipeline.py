@@ -20,6 +20,7 @@ from foreglow.config.stages import (
     TrackerConfig,
 )
 from foreglow.files import read_toml
+from foreglow.wording import check_one_of
 
 
 class PipelineConfig(FrozenModel):
@@ -97,8 +98,7 @@ def preset(name: str) -> PipelineConfig:
     >>> preset("baseline").proposals.gap_px
     13
     """
-    if name not in PRESETS:
-        raise ValueError(f"preset: expected one of {', '.join(PRESETS)}, got {name!r}")
+    check_one_of(name, PRESETS, "preset")
     return PRESETS[name]
 
 

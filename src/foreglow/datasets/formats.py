@@ -12,7 +12,7 @@ from pathlib import Path
 
 from foreglow.datasets.bags import Recording, is_recording
 from foreglow.datasets.exchange import LabelFile, is_labels
-from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, is_images
+from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, checked_rate_hz, is_images
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import PVDN, is_pvdn
 from foreglow.datasets.source import FrameSource, OnError
@@ -76,14 +76,15 @@ def open_source(
     Args:
         path: A file or folder.
         on_error: What a bad frame does.
-        rate_hz: Frames a second of images that carry no time; PVDN, videos and recordings have their own.
+        rate_hz: Frames a second of images that carry no time, 0.001 to 1,000,000; PVDN, videos and recordings have
+            their own.
         topic: Image topic of a recording; None for its first.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
-        ValueError: If it cannot be used.
+        ValueError: If it or an option cannot be used; whether the source needs the option does not matter.
     """
-    path = _named(path)
+    path, rate_hz = _named(path), checked_rate_hz(rate_hz)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
     chosen = FORMATS[format_of(path)]

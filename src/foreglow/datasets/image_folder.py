@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import itertools
+import math
 import re
 from collections.abc import Iterable, Iterator
 from datetime import datetime, timedelta
@@ -14,12 +16,17 @@ from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_coloured_image
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.files import in_unicode
+from foreglow.geometry import checked_number
 from foreglow.types import Frame
+from foreglow.wording import shortened
 
 OTHER_IMAGES = frozenset(
     {".heic", ".heif", ".avif", ".jxl", ".jp2", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf"}
 )
 """Endings of images that are not read here; they are named, not passed over in silence."""
+
+MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e6
+"""Frames a second: a picture in a quarter of an hour, and times that differ by whole nanoseconds."""
 
 DEFAULT_RATE_HZ = 18.0
 """Frames a second if unknown: the rate of PVDN within an exposure cycle."""
@@ -43,6 +50,26 @@ def earlier_name(name: str) -> str:
 def has_earlier(path: Path) -> bool:
     """Whether an earlier image lies beside the image at `path`."""
     return path.with_name(earlier_name(path.name)).is_file()
+
+
+def checked_rate_hz(rate_hz: object) -> float:
+    """A number of frames a second, of which a time follows for every image: 0.001 to 1,000,000.
+
+    Raises:
+        ValueError: If it is another one, or none.
+
+    >>> checked_rate_hz(1e300)
+    Traceback (most recent call last):
+    ValueError: rate_hz: expected a number from 0.001 to 1e+06, got 1e+300
+    """
+    rate = math.nan
+    with contextlib.suppress(ValueError):
+        rate = checked_number("rate_hz", rate_hz)
+    if not MIN_RATE_HZ <= rate <= MAX_RATE_HZ:
+        raise ValueError(
+            f"rate_hz: expected a number from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g}, got {shortened(rate_hz)}"
+        )
+    return rate
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -108,13 +135,11 @@ class ImageFolder(FileSource):
 
         Raises:
             FileNotFoundError: If `path` does not exist.
-            ValueError: If the folder holds no image, or `rate_hz` is not a positive number.
+            ValueError: If the folder holds no image, or `rate_hz` is no number from 0.001 to 1,000,000.
         """
         super().__init__(path, on_error)
         self.path = Path(path)
-        self.rate_hz = rate_hz
-        if not 0 < rate_hz < float("inf"):
-            raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
+        self.rate_hz = checked_rate_hz(rate_hz)
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such file or folder")
         self._files: list[Path] = [self.path]

@@ -26,6 +26,10 @@ from foreglow.datasets.image_bytes import (
 from foreglow.files import check_file, read_bytes
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
+from foreglow.wording import check_one_of
+
+Order: TypeAlias = Literal["rgb", "bgr"]
+"""Order of the channels of a colour image."""
 
 MIN_SIDE_PX = 64
 """Smallest height and width of a frame from a file, pixels: the smallest the detector is tested with."""
@@ -94,7 +98,7 @@ def read_coloured_image(path: Path | str) -> tuple[Image, Chroma | None]:
     return to_grey(array, str(path), order=order), red_chroma(array, order=order)
 
 
-def _array_in(path: Path) -> tuple[NDArray[Any], Literal["rgb", "bgr"]]:
+def _array_in(path: Path) -> tuple[NDArray[Any], Order]:
     """The array in the file at `path`, not checked yet if it is a .npy file, and the order of its colours."""
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such image")
@@ -134,7 +138,7 @@ def is_whole_png(path: Path) -> bool:
         return False
 
 
-def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr"] = "rgb") -> Image:
+def to_grey(array: NDArray[Any], origin: str = "", *, order: Order = "rgb") -> Image:
     """`array` as a grey image of shape (height, width), uint8 or uint16; uncopied if it already is such an image.
 
     Args:
@@ -145,8 +149,8 @@ def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr
         order: Order of the colour channels.
 
     Raises:
-        ValueError: If the shape or the type is another, the image has no pixel, or a float is NaN, infinite or
-            outside [0, 1].
+        ValueError: If the shape, the type or the order is another, the image has no pixel, or a float is NaN, infinite
+            or outside [0, 1].
 
     Source: grey = 0.299 R + 0.587 G + 0.114 B, ITU-R BT.601, as OpenCV rounds it.
 
@@ -155,6 +159,7 @@ def to_grey(array: NDArray[Any], origin: str = "", *, order: Literal["rgb", "bgr
     >>> to_grey(np.full((1, 2, 3), 7, np.uint8)).tolist()
     [[7, 7]]
     """
+    check_one_of(order, Order, f"{origin}: order" if origin else "order")
     array = _checked_array(array, f"{origin}: " if origin else "")
     if array.ndim == 3:
         array = _without_colour(array, order)
@@ -184,7 +189,7 @@ def _checked_array(array: object, prefix: str) -> NDArray[Any]:
     return array if array.dtype.isnative else array.astype(array.dtype.newbyteorder("="))
 
 
-def red_chroma(array: NDArray[Any], *, order: Literal["rgb", "bgr"] = "rgb") -> Chroma | None:
+def red_chroma(array: NDArray[Any], *, order: Order = "rgb") -> Chroma | None:
     """How red what is in a colour image is, shape (ceil(height / 2), ceil(width / 2)), 128 for white; None for grey.
 
     Rear lamps are red and headlamps are not, be they yellowish or bluish. An image in colours that are all grey is
@@ -202,6 +207,7 @@ def red_chroma(array: NDArray[Any], *, order: Literal["rgb", "bgr"] = "rgb") -> 
     >>> red_chroma(np.hstack([white, red])).tolist()
     [[128, 211]]
     """
+    check_one_of(order, Order, "order")
     array = _checked_array(array, "")
     if array.ndim != 3 or array.shape[2] < 3:
         return None
@@ -220,7 +226,7 @@ def if_coloured(chroma: Chroma) -> Chroma | None:
     return chroma if low < COLOURLESS - 1 or high > COLOURLESS + 1 else None
 
 
-def _without_colour(array: NDArray[Any], order: Literal["rgb", "bgr"]) -> NDArray[Any]:
+def _without_colour(array: NDArray[Any], order: Order) -> NDArray[Any]:
     """`array` (height, width, 1..4) as a single channel of the same type."""
     if array.shape[2] <= 2:
         return array[:, :, 0]

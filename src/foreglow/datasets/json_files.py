@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, check_json_keys, read_bytes, shortened
+from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, check_json_keys, read_bytes
 from foreglow.whole_files import write_atomic
+from foreglow.wording import shortened
 
 Model = TypeVar("Model")
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal, Protocol, TypeAlias, get_args
+from typing import Literal, Protocol, TypeAlias
 
 from foreglow.types import Frame
+from foreglow.wording import check_one_of
 
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
 """What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does
@@ -59,8 +60,7 @@ class FileSource:
         Raises:
             ValueError: If it is none of `OnError`, as Python callers may pass any string.
         """
-        if on_error not in get_args(OnError):
-            raise ValueError(f"on_error: expected stop, skip or mark, got {on_error!r}")
+        check_one_of(on_error, OnError, "on_error")
         self.origin = Path(origin)
         self.skipped, self.lost_parts = [], []
         self._on_error = on_error

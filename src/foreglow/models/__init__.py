@@ -7,6 +7,9 @@ from pathlib import Path
 BUNDLED = "foreglow"
 """Name of the model."""
 
+SHA256 = "aa8b92dc7da05a26d1b0fa2f097a64cd68675230fb8c46d7dd5b578104abf9ec"
+"""Of the model's file: a wrong bit in its weights would go unnoticed otherwise."""
+
 OLD_SAMPLES = Path(__file__).parent / "foreglow_samples.npz"
 """A little of what the model learnt from, for training it further; `foreglow.lab.learning.old_samples` makes it."""
 

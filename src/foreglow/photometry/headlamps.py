@@ -19,6 +19,7 @@ from foreglow.photometry.intensity import IntensityTable, squares_m2
 from foreglow.photometry.lamps import low_beam
 from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
+from foreglow.wording import check_one_of
 
 MARGIN = 2
 """Width of the border of dark cells around the LEDs' tables; directions outside are looked up in it."""
@@ -268,7 +269,12 @@ def read_lamp_file(path: Path | str) -> IntensityTable:
 
 
 def matrix_beam(side: Side) -> MatrixLamp:
-    """The light of the built-in left or right lamp: 3 rows of 28 LEDs, 34 degrees wide, above the low beam."""
+    """The light of the built-in left or right lamp: 3 rows of 28 LEDs, 34 degrees wide, above the low beam.
+
+    Raises:
+        ValueError: If there is no such side.
+    """
+    check_one_of(side, Side, "side")
     return _shipped().left.matrix if side == "left" else _shipped().right.matrix
 
 

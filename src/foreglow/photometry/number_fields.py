@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from foreglow.files import MIB, number_in, read_text, shortened
+from foreglow.files import MIB, number_in, read_text
 from foreglow.geometry import Floats
+from foreglow.wording import shortened
 
 MAX_LAMP_BYTES = 16 * MIB
 """Largest photometric file: 3 million values, 45 by 20 degrees to either side in steps of .05 degrees have 1.4 million.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, NotRequired, TypeAlias
 
 from pydantic import Field, RootModel
@@ -120,3 +121,39 @@ class FrameLine(TypedDict):
 
 
 FrameLineModel = RootModel[FrameLine]
+
+
+def check_boxes(line: FrameLine) -> None:
+    """Passes a line whose lists with a value for each box are as long as those, and whose probabilities are such.
+
+    Raises:
+        ValueError: If it is another one; the message names the field.
+    """
+    num_boxes = len(line["proposals_xyxy_px"])
+    check_per_box(line.get("light_kinds"), num_boxes, "light_kinds")
+    check_per_box(line.get("ranges_m"), num_boxes, "ranges_m")
+    check_per_box(line.get("range_sigmas_m"), num_boxes, "range_sigmas_m")
+    check_probabilities(line.get("scores"), num_boxes, "scores")
+    check_probabilities(line.get("direct"), num_boxes, "direct")
+
+
+def check_per_box(values: Sequence[object] | None, num_boxes: int, field: str) -> None:
+    """Passes a list with a value for each box, or None.
+
+    Raises:
+        ValueError: If it is longer or shorter.
+    """
+    if values is not None and len(values) != num_boxes:
+        raise ValueError(f"{field}: expected {num_boxes}, one a box, got {len(values)}")
+
+
+def check_probabilities(values: Sequence[float | None] | None, num_boxes: int, field: str) -> None:
+    """As `check_per_box`, for values from 0 to 1 or None.
+
+    Raises:
+        ValueError: Also if one is outside.
+    """
+    check_per_box(values, num_boxes, field)
+    for index, value in enumerate(values or ()):
+        if value is not None and not 0 <= value <= 1:
+            raise ValueError(f"{field}.{index}: expected a number from 0 to 1, got {value}")

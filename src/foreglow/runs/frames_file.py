@@ -29,6 +29,7 @@ from foreglow.runs.frame_line import (
     StateName,
     TrackEntry,
     VehicleEntry,
+    check_boxes,
 )
 from foreglow.runs.json_lines import read_lines
 from foreglow.types import (
@@ -319,15 +320,17 @@ def read_frame_lines(path: Path, convert: Callable[[FrameLine], T]) -> dict[int,
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not of that form, a line cannot be converted, or the accepted boxes are not those of the
-            run's threshold, as when one of the two was edited; the message names the line and the field.
+        ValueError: If it is not of that form, a line contradicts itself or cannot be converted, or the accepted boxes
+            are not those of the run's threshold, as when one of the two was edited; the message names the line and the
+            field.
     """
     threshold = own_threshold(path)
 
     def check_and_convert(line: FrameLine) -> T:
+        check_boxes(line)
         scores, accepted = line.get("scores"), line.get("detections_xyxy_px")
         if threshold is not None and scores is not None and accepted is not None:
-            boxes = zip(line["proposals_xyxy_px"], scores, strict=False)  # `convert` checks that they are as many
+            boxes = zip(line["proposals_xyxy_px"], scores, strict=True)
             wanted = [box for box, score in boxes if score > threshold]
             if accepted != wanted:
                 expected = f"expected the {len(wanted)} boxes with scores above {threshold:g}, as config.toml has it"

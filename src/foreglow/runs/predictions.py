@@ -18,10 +18,11 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 
 from foreglow.datasets.json_files import read_json
 from foreglow.geometry import Floats
-from foreglow.runs.frame_line import Box, FrameLine
+from foreglow.runs.frame_line import Box, FrameLine, check_probabilities
 from foreglow.runs.frames_file import own_threshold, read_frame_lines
 from foreglow.runs.json_lines import Whole, checked
 from foreglow.types import LIGHT_KINDS
+from foreglow.types.arrays import check_kind, check_numbers
 from foreglow.whole_files import write_atomic
 
 
@@ -45,18 +46,13 @@ class Predictions:
     light_kinds: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("boxes_xyxy_px", "scores", "direct_probabilities", "light_kinds"):
+            check_kind(f"Predictions.{name}", getattr(self, name), Mapping)
         if self.boxes_xyxy_px.keys() != self.scores.keys():
             raise ValueError("Predictions.scores: expected the same images as boxes_xyxy_px")
         for image_id, boxes in self.boxes_xyxy_px.items():
-            if boxes.ndim != 2 or boxes.shape[1] != 4:
-                raise ValueError(
-                    f"Predictions.boxes_xyxy_px: image {image_id}: expected shape (N, 4), got {boxes.shape}"
-                )
-            if self.scores[image_id].shape != (len(boxes),):
-                raise ValueError(
-                    f"Predictions.scores: image {image_id}: expected shape ({len(boxes)},), "
-                    f"got {self.scores[image_id].shape}"
-                )
+            check_numbers(f"Predictions.boxes_xyxy_px: image {image_id}", boxes, (None, 4))
+            check_numbers(f"Predictions.scores: image {image_id}", self.scores[image_id], (len(boxes),))
 
 
 @checked
@@ -132,16 +128,15 @@ def _from_lines(path: Path) -> Predictions:
     def convert(line: FrameLine) -> tuple[Floats, Floats, Floats | None, Floats | None]:
         nonlocal is_scored
         scores, direct, kinds = line.get("scores"), line.get("direct"), line.get("light_kinds")
-        num_boxes = len(line["proposals_xyxy_px"])
         if is_scored is None:
             is_scored = scores is not None
         elif is_scored != (scores is not None):
             raise ValueError("scores: expected in every line or in none, differs from the lines before")
         return (
             _as_boxes(line["proposals_xyxy_px"], "proposals_xyxy_px"),
-            _as_scores(scores, num_boxes),
-            None if direct is None else _as_scores(direct, num_boxes, "direct"),
-            None if kinds is None else _as_kinds(kinds, num_boxes),
+            _as_scores(scores, len(line["proposals_xyxy_px"])),
+            None if direct is None else np.array(direct, np.float64),
+            None if kinds is None else _as_kinds(kinds),
         )
 
     lines = read_frame_lines(path, convert)
@@ -203,22 +198,14 @@ def _as_boxes(boxes: list[Box], name: str) -> NDArray[np.float64]:
     return corners
 
 
-def _as_scores(values: Sequence[float | None] | None, num_boxes: int, name: str = "scores") -> NDArray[np.float64]:
-    """Shape (N,), with NaN instead of None; all 1 if there are no values at all; ValueError for one outside 0 to 1."""
-    if values is None:
-        return np.ones(num_boxes)
-    if len(values) != num_boxes:
-        raise ValueError(f"{name}: expected {num_boxes}, one a box, got {len(values)}")
-    for index, value in enumerate(values):
-        if value is not None and not 0 <= value <= 1:
-            raise ValueError(f"{name}.{index}: expected a number from 0 to 1, got {value}")
-    return np.array(values, np.float64)
+def _as_scores(values: Sequence[float] | None, num_boxes: int) -> NDArray[np.float64]:
+    """Shape (N,); all 1 if there are no values at all; ValueError for one outside 0 to 1."""
+    check_probabilities(values, num_boxes, "scores")
+    return np.ones(num_boxes) if values is None else np.array(values, np.float64)
 
 
-def _as_kinds(rows: Sequence[Sequence[float] | None], num_boxes: int) -> NDArray[np.float64]:
+def _as_kinds(rows: Sequence[Sequence[float] | None]) -> NDArray[np.float64]:
     """Shape (N, 4), with NaN instead of None."""
-    if len(rows) != num_boxes:
-        raise ValueError(f"light_kinds: expected {num_boxes}, one a box, got {len(rows)}")
     unknown = [math.nan] * len(LIGHT_KINDS)
     return np.array([unknown if row is None else row for row in rows]).reshape(-1, len(LIGHT_KINDS))
 

@@ -27,6 +27,7 @@ from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import BeamMode, Frame, FrameResult, TrackState
 from foreglow.whole_files import atomic_path, write_atomic
+from foreglow.wording import check_one_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,8 +49,7 @@ def columns_of(sequences: Results, table: TableName) -> Mapping[str, list[Any]]:
         ValueError: If there is no such table.
     """
     rows_of = {"frames": _frame_rows, "boxes": _box_rows, "tracks": _track_rows}
-    if table not in rows_of:
-        raise ValueError(f"table: expected one of {', '.join(rows_of)}, got {table!r}")
+    check_one_of(table, rows_of, "table")
     rows = [
         {"sequence": sequence, "frame": result.frame, "time_s": result.timestamp_ns / 1e9, **row}
         for sequence, results in sequences.items()
@@ -129,13 +129,14 @@ class RecordedRun:
             ModuleNotFoundError: If pandas is not installed (extra `pandas`).
             ValueError: If there is no such table.
         """
+        columns = columns_of(self.sequences, table)
         try:
             import pandas as pd
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(
                 "pandas is not installed: pip install 'foreglow[pandas]'", name=error.name
             ) from None
-        return pd.DataFrame(columns_of(self.sequences, table))
+        return pd.DataFrame(columns)
 
     def write_parquet(self, path: Path | str, table: TableName = "boxes") -> None:
         """Writes a table of the results as Parquet, whole or not at all.
@@ -145,6 +146,7 @@ class RecordedRun:
             ValueError: If there is no such table, or the file is a part of the run or its source, or of another kind.
             OSError: If the file cannot be written.
         """
+        columns = columns_of(self.sequences, table)
         self._check_output(Path(path), TABLE)
         try:
             import pyarrow as pa
@@ -152,9 +154,8 @@ class RecordedRun:
         except ModuleNotFoundError as error:
             words = "pyarrow is not installed: pip install 'foreglow[parquet]'"
             raise ModuleNotFoundError(words, name=error.name) from None
-        columns = pa.table(dict(columns_of(self.sequences, table)))
         with atomic_path(Path(path)) as temporary:
-            pq.write_table(columns, temporary)
+            pq.write_table(pa.table(dict(columns)), temporary)
 
     def write_coco(self, path: Path | str) -> None:
         """Writes all scored boxes in the form of COCO's results; an image's id is its frame.

@@ -10,6 +10,8 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.wording import shortened
+
 Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 """A grey image, shape (height, width), uint8 or uint16, linear index (row, column)."""
 
@@ -63,9 +65,23 @@ def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[
         is_fit = array.shape == shape
         if is_fit or (None in shape and len(shape) == array.ndim and _fits(array.shape, shape)):
             return frozen_view(array)
-    got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-    wanted = str(tuple(shape)).replace("None", "N")
-    raise ValueError(f"{field}: expected {dtype.name} of shape {wanted}, got {got}")
+    raise ValueError(f"{field}: expected {dtype.name} of shape {_shape_words(shape)}, got {_array_words(array)}")
+
+
+def check_numbers(field: str, array: object, shape: tuple[int | None, ...]) -> None:
+    """As `checked_array`, for numbers of any type.
+
+    Raises:
+        ValueError: If it is no array of numbers of that shape.
+
+    >>> check_numbers("boxes", [[1, 2, 3, 4]], (None, 4))
+    Traceback (most recent call last):
+    ValueError: boxes: expected numbers of shape (N, 4), got list
+    """
+    is_of_numbers = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
+    if isinstance(array, np.ndarray) and is_of_numbers and len(shape) == array.ndim and _fits(array.shape, shape):
+        return
+    raise ValueError(f"{field}: expected numbers of shape {_shape_words(shape)}, got {_array_words(array)}")
 
 
 def check_kind(field: str, value: object, kind: type) -> None:
@@ -89,8 +105,16 @@ def checked_time_ns(field: str, time_ns: object) -> int:
     ValueError: Frame.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got 1.5
     """
     if not isinstance(time_ns, int | np.integer) or not -(2**63) <= time_ns < 2**63:
-        raise ValueError(f"{field}: expected nanoseconds as a whole number of 64 bits, got {time_ns!r:.40}")
+        raise ValueError(f"{field}: expected nanoseconds as a whole number of 64 bits, got {shortened(time_ns)}")
     return int(time_ns)
+
+
+def _array_words(array: object) -> str:
+    return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+
+
+def _shape_words(shape: tuple[int | None, ...]) -> str:
+    return str(tuple(shape)).replace("None", "N")
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:

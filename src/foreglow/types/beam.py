@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.types.arrays import Value, checked_array, checked_time_ns
+from foreglow.wording import shortened
 
 _FLOAT64 = np.dtype(np.float64)
 
@@ -59,9 +60,9 @@ class BeamCommand(Value):
     def __post_init__(self) -> None:
         timestamp_ns = checked_time_ns("BeamCommand.timestamp_ns", self.timestamp_ns)
         if not isinstance(self.mode, BeamMode):
-            raise ValueError(f"BeamCommand.mode: expected a BeamMode, got {self.mode!r:.40}")
+            raise ValueError(f"BeamCommand.mode: expected a BeamMode, got {shortened(self.mode)}")
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, str) for fault in self.faults):
-            raise ValueError(f"BeamCommand.faults: expected a tuple of names, got {self.faults!r:.80}")
+            raise ValueError(f"BeamCommand.faults: expected a tuple of names, got {shortened(self.faults)}")
         levels = checked_array("BeamCommand.levels", self.levels, _FLOAT64, (2, None))
         gaps = checked_array("BeamCommand.gaps_rad", self.gaps_rad, _FLOAT64, (None, 2))
         ranges_m = checked_array("BeamCommand.gap_ranges_m", self.gap_ranges_m, _FLOAT64, (len(gaps),))
@@ -89,7 +90,7 @@ def _check_gaps(gaps_rad: NDArray[np.float64], ranges_m: NDArray[np.float64]) ->
     borders = gaps_rad.ravel()
     if not (borders[1:] > borders[:-1]).all() or not (borders[0] >= -MAX_BORDER_RAD and borders[-1] <= MAX_BORDER_RAD):
         raise ValueError(
-            f"BeamCommand.gaps_rad: expected borders in order and apart, at most a full turn, got {gaps_rad.tolist()}"
+            f"BeamCommand.gaps_rad: expected borders in order and apart, at most a full turn, got {shortened(gaps_rad)}"
         )
     if (ranges_m < 0).any() or np.isinf(ranges_m).any():
-        raise ValueError(f"BeamCommand.gap_ranges_m: expected numbers of at least 0, or NaN, got {ranges_m.tolist()}")
+        raise ValueError(f"BeamCommand.gap_ranges_m: expected numbers of at least 0, or NaN, got {shortened(ranges_m)}")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import checked_number
+from foreglow.geometry import checked_share
 from foreglow.types.arrays import Boxes, Value, check_kind, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 
@@ -69,9 +68,7 @@ class Detections(Value):
         scores = checked_array("Detections.scores", self.scores, _FLOAT32, (count,))
         if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
-        threshold = checked_number("Detections.score_threshold", self.score_threshold)
-        if not math.isfinite(threshold):
-            raise ValueError(f"Detections.score_threshold: expected a finite number, got {threshold}")
+        checked_share("Detections.score_threshold", self.score_threshold)
         light_kinds = checked_kinds("Detections.light_kinds", self.light_kinds, count, np.float32)
         object.__setattr__(self, "scores", scores)
         object.__setattr__(self, "light_kinds", light_kinds)

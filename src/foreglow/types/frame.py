@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from foreglow.geometry import Camera, checked_floats, checked_number
 from foreglow.types.arrays import Image, Value, checked_time_ns, frozen_view
+from foreglow.wording import shortened
 
 MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
 """No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2. None
@@ -181,7 +182,7 @@ class Frame(Value):
             if not isinstance(value, kinds):
                 raise ValueError(f"{origin}Frame.{name}: expected {wanted}, got {type(value).__name__}")
         if not -(2**63) <= self.frame < 2**63:
-            raise ValueError(f"{origin}Frame.frame: expected a whole number of 64 bits, got {self.frame!r:.40}")
+            raise ValueError(f"{origin}Frame.frame: expected a whole number of 64 bits, got {shortened(self.frame)}")
         object.__setattr__(self, "frame", int(self.frame))
         if not isinstance(self.camera, Camera | None):
             raise ValueError(

@@ -7,6 +7,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.wording import shortened
+
 
 class TrackState(IntEnum):
     """Where a track is in its life."""
@@ -26,7 +28,7 @@ def check_states(field: str, states: NDArray[np.int64]) -> None:
         ValueError: If one is not; the message begins with `field`.
     """
     if len(states) and not (states.min() >= _FIRST and states.max() <= _LAST):
-        raise ValueError(f"{field}: expected numbers from {_FIRST} to {_LAST}, got {states.tolist()}")
+        raise ValueError(f"{field}: expected numbers from {_FIRST} to {_LAST}, got {shortened(states)}")
 
 
 _FIRST, _LAST = int(min(TrackState)), int(max(TrackState))

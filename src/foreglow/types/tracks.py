@@ -14,6 +14,7 @@ from foreglow.types.arrays import Value, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 from foreglow.types.states import TrackState, check_states
 from foreglow.types.vehicles import Vehicles
+from foreglow.wording import shortened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +68,7 @@ class Tracks(Value):
             raise ValueError(f"Tracks.vehicles: expected those of {count} tracks, got {len(self.vehicles.of_tracks)}")
         boxes = self.boxes_xyxy_px
         if not (self.ids[1:] > self.ids[:-1]).all():
-            raise ValueError(f"Tracks.ids: expected ascending numbers, got {self.ids.tolist()}")
+            raise ValueError(f"Tracks.ids: expected ascending numbers, got {shortened(self.ids)}")
         if not (np.isfinite(boxes).all() and (boxes[:, :2] < boxes[:, 2:]).all()):
             raise ValueError("Tracks.boxes_xyxy_px: expected finite boxes with x1 < x2 and y1 < y2")
         if (self.ranges_m <= 0).any() or np.isinf(self.ranges_m).any():
@@ -78,7 +79,7 @@ class Tracks(Value):
         for name, least, most in _LIMITS:
             values = getattr(self, name)
             if count and not (values.min() >= least and values.max() <= most):
-                raise ValueError(f"Tracks.{name}: expected numbers from {least:g} to {most:g}, got {values.tolist()}")
+                raise ValueError(f"Tracks.{name}: expected numbers from {least:g} to {most:g}, got {shortened(values)}")
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from foreglow.types.arrays import Value, checked_array
 from foreglow.types.states import check_states
+from foreglow.wording import shortened
 
 _DTYPES = {
     "ids": np.dtype(np.int64),
@@ -52,15 +53,15 @@ class Vehicles(Value):
         of_tracks = checked_array("Vehicles.of_tracks", self.of_tracks, _DTYPES["ids"], (None,))
         object.__setattr__(self, "of_tracks", of_tracks)
         if not (self.ids[1:] > self.ids[:-1]).all():
-            raise ValueError(f"Vehicles.ids: expected ascending numbers, got {self.ids.tolist()}")
+            raise ValueError(f"Vehicles.ids: expected ascending numbers, got {shortened(self.ids)}")
         check_states("Vehicles.states", self.states)
         if not ((self.confidences >= 0.0) & (self.confidences <= 1.0)).all():
-            raise ValueError(f"Vehicles.confidences: expected numbers from 0 to 1, got {self.confidences.tolist()}")
+            raise ValueError(f"Vehicles.confidences: expected numbers from 0 to 1, got {shortened(self.confidences)}")
         if not set(self.of_tracks.tolist()) <= set(self.ids.tolist()):
-            raise ValueError(f"Vehicles.of_tracks: expected ids of vehicles, got {self.of_tracks.tolist()}")
+            raise ValueError(f"Vehicles.of_tracks: expected ids of vehicles, got {shortened(self.of_tracks)}")
         is_index = (self.leading >= 0) & (self.leading < len(self.of_tracks))
         if not is_index.all() or (self.of_tracks[self.leading] != self.ids).any():
-            raise ValueError(f"Vehicles.leading: expected a track of each vehicle, got {self.leading.tolist()}")
+            raise ValueError(f"Vehicles.leading: expected a track of each vehicle, got {shortened(self.leading)}")
 
     def __len__(self) -> int:
         return len(self.ids)

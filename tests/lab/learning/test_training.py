@@ -388,7 +388,7 @@ def without(label: int) -> Samples:
     [
         ({"train": without(1)}, "train samples: expected light artifacts among"),
         ({"val": without(0)}, "val samples: expected boxes without one among"),
-        ({"device": "tpu"}, "device: expected auto, cpu or cuda, got 'tpu'"),
+        ({"device": "tpu"}, "device: expected one of auto, cpu, cuda, got 'tpu'"),
     ],
 )
 def test_what_cannot_be_trained(tmp_path: Path, changes: dict[str, Any], message: str) -> None:

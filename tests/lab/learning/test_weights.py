@@ -109,7 +109,14 @@ def test_metadata_and_figures(tmp_path: Path) -> None:
         ({"int_out.afc3.bias": torch.tensor([torch.nan])}, r"int_out\.afc3\.bias: expected finite values"),
         ({"batch6.running_var": -torch.ones(256)}, r"batch6\.running_var: expected no negative variance"),
         ({"conv1.bias": torch.zeros(32, dtype=torch.int64)}, r"conv1\.bias: expected a float tensor"),
-        ({"conv1.bias": torch.zeros(32, device="meta")}, r"conv1\.bias: expected a float tensor"),
+        (
+            {"conv1.bias": torch.zeros(32, device="meta")},
+            r"conv1\.bias: .* got one without values \(meta\)",
+        ),
+        (
+            {"conv1.bias": torch.zeros(32).to_sparse()},
+            r"conv1\.bias: .* got one of layout sparse_coo",
+        ),
         ({"conv1.bias": 3}, r"conv1\.bias: expected a float tensor .* got int"),
     ],
 )

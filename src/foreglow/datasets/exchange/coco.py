@@ -28,8 +28,8 @@ from foreglow.datasets.exchange.marks import (
     writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.files import shortened
 from foreglow.own_files import LABELS_INFO
+from foreglow.wording import shortened
 
 IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
 """Ids of the categories that are written."""

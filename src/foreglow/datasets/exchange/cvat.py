@@ -30,8 +30,9 @@ from foreglow.datasets.exchange.marks import (
     writable_name,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
-from foreglow.files import number_in, shortened
+from foreglow.files import number_in
 from foreglow.maps.xml_file import number_of, read_xml
+from foreglow.wording import shortened
 
 MAX_SIZE_PX = 2**20
 

@@ -30,7 +30,7 @@ from foreglow.datasets.exchange.marks import (
     writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.files import shortened
+from foreglow.wording import shortened
 
 _UPLOADED = re.compile(r"^[0-9a-f]{8}-")
 """What Label Studio puts before the name of an uploaded file."""

@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import PurePosixPath
 
 from foreglow.datasets.pvdn.schema import ImageCategory, Instance, Vehicle
-from foreglow.files import shortened
+from foreglow.wording import shortened
 
 MAX_IMAGES = 200_000
 """Images of a file of labels: three hours at 18 Hz; a file of a few bytes can state any number of frames."""

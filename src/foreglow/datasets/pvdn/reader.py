@@ -31,8 +31,9 @@ from foreglow.datasets.pvdn.splits import find_split
 from foreglow.datasets.simulated.vehicle import SimulatedVehicle
 from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import equip
-from foreglow.files import check_is_folder, shortened
+from foreglow.files import check_is_folder
 from foreglow.types import Frame
+from foreglow.wording import shortened
 
 PVDN_RATE_HZ = 18.0
 """Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from foreglow.datasets.json_files import Record
-from foreglow.files import shortened
+from foreglow.wording import shortened
 
 _NAMES_ON_DISK = {
     "directory": "dir",

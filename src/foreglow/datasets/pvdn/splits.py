@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from foreglow.files import check_is_folder
+from foreglow.wording import check_one_of
 
 SplitName: TypeAlias = Literal["train", "val", "test"]
 SPLIT_NAMES: tuple[SplitName, ...] = ("train", "val", "test")
@@ -32,8 +33,9 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
 
     Raises:
         FileNotFoundError: If there is no such folder or no such split.
-        ValueError: If there are several, such as those of `day` and `night`.
+        ValueError: If there are several, such as those of `day` and `night`, or no split is ever called so.
     """
+    check_one_of(name, SplitName, "split")
     root = Path(data)
     check_is_folder(root, "a data set with train, val and test")
     found = sorted(path for path in (root / name, *root.glob(f"*/{name}")) if is_split(path))
@@ -50,8 +52,9 @@ def split_in(data: Path | str, name: SplitName) -> Path:
 
     Raises:
         FileNotFoundError: If there is no such folder or no such split.
-        ValueError: If there are several.
+        ValueError: If there are several, or no split is ever called so.
     """
+    check_one_of(name, SplitName, "split")
     return Path(data) if is_split(Path(data)) else split_folder(data, name)
 
 

@@ -12,7 +12,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from foreglow.files import bounded_lines, check_file, shortened
+from foreglow.files import bounded_lines, check_file
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     import can

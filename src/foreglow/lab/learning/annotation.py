@@ -32,6 +32,7 @@ from foreglow.lab.learning.kept_files import checksum, checksum_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
+from foreglow.wording import check_one_of
 
 Labels: TypeAlias = NDArray[np.int8]
 
@@ -155,9 +156,8 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
         ValueError: If a name is unknown, `data` is a single split with another name, or a name fits several folders.
     """
     root = Path(data)
-    unknown = [name for name in names if name not in SPLIT_NAMES]
-    if unknown:
-        raise ValueError(f"split: expected one of {', '.join(SPLIT_NAMES)}, got {unknown[0]!r}")
+    for name in names:
+        check_one_of(name, SPLIT_NAMES, "split")
     if root.is_dir() and is_split(root):
         if names and names != (root.resolve().name,):
             raise ValueError(f"{root}: split: expected none, since this is a single split, got {', '.join(names)}")

@@ -13,10 +13,10 @@ from typing import Any
 
 import torch
 
-from foreglow.files import shortened
 from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.lab.learning.training_progress import Epoch
 from foreglow.whole_files import write_atomic
+from foreglow.wording import shortened
 
 NAME = "checkpoint.pt"
 _FORMAT = 1

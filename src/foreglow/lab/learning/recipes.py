@@ -14,6 +14,7 @@ from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.lab.learning.samples import Inputs, Jitter
 from foreglow.types import KINDS
+from foreglow.wording import check_one_of
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
@@ -231,8 +232,7 @@ def recipe(name: str) -> Recipe:
     >>> recipe("paper").epochs
     300
     """
-    if name not in RECIPES:
-        raise ValueError(f"recipe: expected one of {', '.join(RECIPES)}, got {name!r}")
+    check_one_of(name, RECIPES, "recipe")
     return RECIPES[name]
 
 

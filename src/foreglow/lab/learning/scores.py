@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from scipy.special import logit
 
 from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log_loss
+from foreglow.wording import check_one_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +127,14 @@ def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], method: Calib
         method: `temperature` only divides; `platt` shifts, too; `none` is the identity.
 
     Raises:
-        ValueError: If a temperature is wanted and all labels are the same.
+        ValueError: If a temperature is wanted and all labels are the same, or there is no such method.
 
     Source: Guo et al., On Calibration of Modern Neural Networks, arXiv 1706.04599, section 4.2; Platt, 1999.
 
     >>> fit_calibrator(np.array([[9.0], [9.0], [9.0], [-9.0]]), np.array([1, 1, 0, 0], np.int8)).temperature > 5
     True
     """
+    check_one_of(method, Calibration, "method")
     if method == "none" or len(logits) == 0:
         return Calibrator()
     values = np.asarray(logits, np.float64)

@@ -12,12 +12,13 @@ import numpy as np
 
 from foreglow.datasets import open_source
 from foreglow.datasets.json_files import read_lines
-from foreglow.files import MAX_TEXT_BYTES, read_bytes, shortened
+from foreglow.files import MAX_TEXT_BYTES, read_bytes
 from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, nearest_profile
 from foreglow.runs.recorded_run import RecordedRun, source_of_run
 from foreglow.types import FrameResult
 from foreglow.types.arrays import Boxes
 from foreglow.whole_files import together, write_atomic
+from foreglow.wording import shortened
 
 FILE_NAME = "suggestions.csv"
 LOOK_STEP = 10

@@ -42,6 +42,7 @@ from foreglow.lab.learning.samples import Samples, check_learnable, set_bounds, 
 from foreglow.lab.learning.scores import EACH_AS_ONE, Counting, kind_accuracy, light_logits
 from foreglow.lab.learning.training_progress import Epoch, TrainingProgress
 from foreglow.whole_files import write_atomic
+from foreglow.wording import check_one_of
 
 MakeNetwork: TypeAlias = Callable[[Recipe], nn.Module]
 """An untrained network, called as `network(crops, features)`; gives logits of shape (N, `Recipe.num_outputs`)."""
@@ -149,6 +150,7 @@ def train(
         else:
             with whole(folder):
                 trainer.restore(checkpoint)
+            write_atomic(folder / CURVES, curves_csv(checkpoint.epochs).encode())  # that there may be lost or damaged
         while not _is_over(recipe, checkpoint):
             epoch = trainer.run_epoch(checkpoint, val_samples, counting, progress)
             checkpoint.epochs.append(dataclasses.asdict(epoch))
@@ -179,8 +181,7 @@ def torch_device(name: str) -> torch.device:
     Raises:
         ValueError: If there is no such device.
     """
-    if name not in ("auto", "cpu", "cuda"):
-        raise ValueError(f"device: expected auto, cpu or cuda, got {name!r}")
+    check_one_of(name, ("auto", "cpu", "cuda"), "device")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("device: expected a GPU that torch can use for cuda, found none; cpu needs none")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

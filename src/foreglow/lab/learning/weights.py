@@ -122,7 +122,11 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
             or value.layout != torch.strided
             or not value.dtype.is_floating_point
         ):
-            found = "nothing" if value is None else getattr(value, "dtype", type(value).__name__)
+            found = "nothing" if value is None else type(value).__name__
+            if isinstance(value, torch.Tensor):
+                is_plain = value.layout == torch.strided and not value.is_meta
+                kind = "without values (meta)" if value.is_meta else f"of layout {str(value.layout)[6:]}"
+                found = str(value.dtype) if is_plain else f"one {kind}"
             raise ValueError(f"{path}: {name}: expected a float tensor of shape {tuple(expected.shape)}, got {found}")
         if value.shape != expected.shape:
             raise ValueError(f"{path}: {name}: expected shape {tuple(expected.shape)}, got {tuple(value.shape)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,10 +16,12 @@ from numpy.typing import NDArray
 from foreglow.display.overlay import Colour, Picture
 from foreglow.display.pen import REFERENCE_HEIGHT_PX, Pen
 from foreglow.display.tone import Tone
-from foreglow.files import MIB, read_text
+from foreglow.files import MIB, number_in, read_text
 from foreglow.lab.learning.annotation import NEGATIVE, POSITIVE
 from foreglow.lab.learning.fine_tuning import Judged
+from foreglow.lab.learning.training_progress import Epoch
 from foreglow.whole_files import open_atomic, write_atomic
+from foreglow.wording import shortened
 
 CURVES, PICTURE = "curves.csv", "curves.png"
 
@@ -27,6 +30,7 @@ def draw_training(folder: Path) -> None:
     """Draws the curves of the training in `folder`, if it has come to any; without the `plots` extra it does nothing.
 
     Raises:
+        ValueError: If the curves are damaged.
         OSError: If the picture cannot be written.
     """
     if (folder / CURVES).is_file() and importlib.util.find_spec("matplotlib") is not None:
@@ -38,12 +42,12 @@ def draw_curves(curves: Path, picture: Path) -> None:
 
     Raises:
         FileNotFoundError: If there are no curves.
+        ValueError: If they are damaged; the message names the line and the column.
         ModuleNotFoundError: If the `plots` extra is not installed.
     """
     from matplotlib.figure import Figure
 
-    lines = read_text(curves, MIB).splitlines()
-    rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(lines)]
+    rows = _rows(curves)
     numbers = [row["number"] for row in rows]
     figure = Figure(figsize=(10, 4), layout="constrained")
     losses, scores = figure.subplots(1, 2)
@@ -60,6 +64,36 @@ def draw_curves(curves: Path, picture: Path) -> None:
     scores.legend(loc="lower right")
     with open_atomic(picture) as target:
         figure.savefig(target, format="png", dpi=120)
+
+
+def _rows(curves: Path) -> list[dict[str, float]]:
+    """The figures of each epoch.
+
+    Raises:
+        ValueError: If one is missing or is no number, or there is no epoch.
+    """
+    names = [field.name for field in dataclasses.fields(Epoch)]
+    rows = []
+    try:
+        for number, row in enumerate(csv.DictReader(read_text(curves, MIB).splitlines()), start=2):
+            for name in names:
+                if not _is_number(row.get(name)):
+                    value = shortened(row.get(name)) if row.get(name) is not None else "nothing"
+                    raise ValueError(f"{curves}: line {number}: {name}: expected a number, got {value}")
+            rows.append({name: float(row[name]) for name in names})
+    except csv.Error as error:
+        raise ValueError(f"{curves}: expected the curves of a training: {error}") from None
+    if not rows:
+        raise ValueError(f"{curves}: expected a line for each epoch of a training, got none")
+    return rows
+
+
+def _is_number(text: str | None) -> bool:
+    try:
+        number_in(text or "")
+    except ValueError:
+        return False
+    return True
 
 
 CHANGES = "changes.jpg"

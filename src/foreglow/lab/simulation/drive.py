@@ -35,6 +35,7 @@ from foreglow.photometry import Headlamps, read_headlamps
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame
+from foreglow.wording import check_one_of
 
 MAX_TAIL_SHARE = 0.2
 """Largest share of the scene's own veiling glare in any variant."""
@@ -207,8 +208,7 @@ class Drive:
         self.skipped: Sequence[str] = ()
         self.latest: DriveFrame | None = None
         self.camera = camera_of(scene.camera)
-        if quality not in QUALITIES:
-            raise ValueError(f"quality: expected one of {', '.join(QUALITIES)}, got {quality!r}")
+        check_one_of(quality, QUALITIES, "quality")
         self.settings = QUALITIES[quality]
         self.headlamps = headlamps or read_headlamps()
         self._led_levels: Floats = np.ones((2, self.headlamps.num_leds))

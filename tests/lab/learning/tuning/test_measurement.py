@@ -151,6 +151,16 @@ def test_damaged_frames_are_decoded_again(val: PVDN, tmp_path: Path, suffix: str
     np.testing.assert_array_equal(again.images()[0], val.read(100).image)
 
 
+@pytest.mark.parametrize(
+    "index", ["", "[]", "null", "[" * 100_000, '{"frames": 1}', '{"frames": [[1, 2, null]]}', "\0"]
+)
+def test_an_index_that_holds_something_else_is_made_anew(val: PVDN, tmp_path: Path, index: str) -> None:
+    stack = stack_frames(val, (100, 101), tmp_path)
+    stack.path.with_suffix(".json").write_text(index)
+    with pytest.warns(RemadeWarning, match=r"\.bin: the frames kept here are damaged, and are decoded again"):
+        assert stack_frames(val, (100, 101), tmp_path) == stack
+
+
 def test_a_frame_of_the_same_size_and_time_is_noticed(val: PVDN, tmp_path: Path) -> None:
     path = val.image_path(100)
     content = path.read_bytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -195,6 +196,54 @@ def test_unknown_size(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Pat
     monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
     with pytest.raises(ValueError, match="size: expected one of n, s, m, l, x for ultralytics, got 't'"):
         train_yolo(data, tmp_path / "run", config("ultralytics", size="t"))
+    assert not (tmp_path / "run").exists()  # what it left would keep the corrected command out
+
+
+@pytest.mark.parametrize("name", FAKES)
+def test_a_gpu_that_is_not_there(name: str, monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, name, FAKES[name](Calls("")))
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 1)
+    with pytest.raises(ValueError, match="device: expected auto or cpu, torch has no GPU with the number 1"):
+        train_yolo(data, tmp_path / "run", config(name, device="1"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_damaged_weights_to_start_from(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
+    weights = tmp_path / "yolov5su.pt"
+    torch.save({"a": torch.zeros(1000)}, weights)
+    content = bytearray(weights.read_bytes())
+    content[len(content) // 2] ^= 1
+    weights.write_bytes(content)
+    with pytest.raises(ValueError, match=r"yolov5su\.pt: "):
+        train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(weights)))
+    assert not (tmp_path / "run").exists()
+
+
+def test_lost_weights_are_made_anew(calls: Calls, data: Path, tmp_path: Path) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    shutil.rmtree(run.folder / "training")
+    assert train_yolo(data, tmp_path / "run", config(calls.name)).weights.is_file()
+    assert len(calls.trained) == 2
+
+
+@pytest.mark.parametrize("name", ["config.json", "results.json"])
+@pytest.mark.parametrize("content", [b"", b"junk", b"[]", b"{}", b"[" * 100_000, b"\xff\xfe"])
+def test_damaged_records_are_told_by_name(calls: Calls, data: Path, tmp_path: Path, name: str, content: bytes) -> None:
+    run = train_yolo(data, tmp_path / "run", config(calls.name))
+    (run.folder / name).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{name}: "):
+        train_yolo(data, tmp_path / "run", config(calls.name))
+
+
+def test_junk_among_the_epochs_of_ultralytics(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
+    run = train_yolo(data, tmp_path / "run", config("ultralytics"))
+    (run.folder / "results.json").unlink()
+    for content in (b"\xff\xfe\0" * 9, b""):
+        (run.folder / "training" / "run" / "results.csv").write_bytes(content)
+        assert train_yolo(data, tmp_path / "run", config("ultralytics")).weights == run.weights
+        (run.folder / "results.json").unlink()
 
 
 class OneBox:

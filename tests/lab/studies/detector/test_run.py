@@ -25,6 +25,7 @@ from foreglow.lab.studies.detector.rows import (
     split_digest,
 )
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
+from foreglow.models import model_path
 from foreglow.proposals import make_proposer
 from foreglow.proposals.reference import ReferenceProposer
 from foreglow.whole_files import RemadeWarning
@@ -257,6 +258,21 @@ def test_bad_plans(tmp_path: Path) -> None:
     (tmp_path / "broken.onnx").write_text("nothing of the kind")
     with pytest.raises(ValueError, match=r"broken\.onnx: expected an ONNX model"):
         DetectorPlan(given={"paper": tmp_path / "broken.onnx"})
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "asked"),
+    [
+        ("--published", "published", {"rows": ("paper", "yolo-small")}),
+        ("--our-model", "ours", {"rows": ("paper",)}),
+        ("--yolo-small", "yolo-small", {"with_yolo": False}),
+        ("--yolo-large", "yolo-large", {"rows": ("paper", "yolo-large"), "with_yolo": False}),
+    ],
+)
+def test_a_model_whose_row_is_not_made_is_no_plan(option: str, name: str, asked: dict[str, Any]) -> None:
+    """It was ignored without a word."""
+    with pytest.raises(ValueError, match=rf"^{option}: expected its row {name} among those that are made, which are "):
+        DetectorPlan(given={name: model_path(Path("foreglow"))}, **asked)
 
 
 def test_a_missing_split(tmp_path: Path) -> None:

@@ -312,6 +312,24 @@ def test_a_car_that_cannot_be_made_leaves_no_folder(tmp_path: Path) -> None:
     assert not out.exists()
 
 
+def test_an_experiment_that_drove_nothing_leaves_no_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the renderer, for example, whose absence is only noticed where it is needed."""
+    scenes, out = write_scenes_of(tmp_path, scene()), tmp_path / "out"
+
+    def missing(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'mitsuba'", name="mitsuba")
+
+    monkeypatch.setattr("foreglow.lab.studies.glare.simulate.Drives.frames", missing)
+    for kept in ([], ["mine.txt"]):
+        for name in kept:
+            out.mkdir()
+            (out / name).touch()
+        with pytest.raises(ModuleNotFoundError, match="mitsuba"):
+            run_experiment(scenes, config(), GlarePlan(quality="fast"), out, progress=lambda *_: None)
+        assert out.exists() == bool(kept)
+        assert not out.exists() or [path.name for path in out.iterdir()] == kept
+
+
 def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
     file = write_scenes_of(tmp_path, scene(), scene(seed=5))
     plan = GlarePlan(num_empty=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
+import math
 import re
 import shutil
 from collections.abc import Mapping
@@ -128,6 +129,32 @@ def test_a_state_of_another_shape_is_said(data: Path, tmp_path: Path) -> None:
     (tmp_path / run.STATE).write_text('{"distance": 3}')
     with pytest.raises(ValueError, match=rf"{run.STATE}: distance: .*, got 3"):
         run_experiments(ReproductionPlan(data), tmp_path, progress=quiet)
+
+
+@pytest.mark.parametrize("field", ["key", "results", "seconds", "load", "reason", "has_failed"])
+def test_a_damaged_state_is_made_anew_or_said(
+    field: str, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Damaged results whose digest was lost with it ended in an internal error."""
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    plan, state = ReproductionPlan(data), tmp_path / run.STATE
+    run_experiments(plan, tmp_path, progress=quiet)
+    whole = json.loads(state.read_text())
+    results = tmp_path / "detector" / EXPERIMENTS["detector"].results
+    for content in ("[]", '{"rows": 1}', '{"rows": [{"load": "x"}]}', "junk", ""):
+        results.write_text(content)
+        state.write_text(json.dumps(whole | {"detector": {k: v for k, v in whole["detector"].items() if k != field}}))
+        calls.clear()
+        assert run_experiments(plan, tmp_path, progress=quiet)["detector"].results == {}
+        assert calls == ["detector"]
+    state.write_text(json.dumps(whole | {"detector": {k: v for k, v in whole["detector"].items() if k != field}}))
+    assert run_experiments(plan, tmp_path, progress=quiet)["detector"].results == {}
+    values: list[Any] = [None, [], {}, math.nan, "x" if field in ("seconds", "load", "has_failed") else 1]
+    for value in values:
+        state.write_text(json.dumps(whole | {"detector": whole["detector"] | {field: value}}))
+        with pytest.raises(ValueError, match=rf"{run.STATE}: "):
+            run_experiments(plan, tmp_path, progress=quiet)
 
 
 @pytest.mark.parametrize("name", ["tune", "images"])

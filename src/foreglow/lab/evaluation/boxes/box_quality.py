@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
@@ -88,7 +89,8 @@ def evaluate_boxes(
         threshold: A box counts if its score is above this; without effect on boxes without scores.
 
     Raises:
-        ValueError: If the keypoints have another shape, or the threshold is NaN.
+        ValueError: If an argument is of another type, the keypoints have another shape, or the threshold is no number
+            from 0 to 1.
 
     >>> keypoints = {7: np.array([[10, 10], [90, 90]])}
     >>> boxes = Predictions({7: np.array([[5.0, 5.0, 10.0, 10.0]])}, {7: np.array([0.9])})
@@ -96,8 +98,7 @@ def evaluate_boxes(
     >>> quality.precision, quality.recall, quality.q
     (1.0, 0.5, 1.0)
     """
-    if math.isnan(threshold):
-        raise ValueError("threshold: expected a number, got nan")
+    threshold = checked_share("threshold", threshold)
     matches = match_boxes(keypoints_px, predictions)
     keypoints_in_box = matches.points_in_box[matches.scores > threshold]  # n_K of each box that counts
     boxes_around_keypoint = matches.boxes_around_point(threshold)  # n_B of each keypoint
@@ -141,10 +142,12 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
 
     Raises:
         FileNotFoundError: If the split, a label file or the predictions are missing.
-        ValueError: If one of them is broken, or the predictions are for other images.
+        ValueError: If one of them is broken, the predictions are for other images, or the threshold is no number from 0
+            to 1.
     """
+    given = None if threshold is None else checked_share("threshold", threshold)
     found = read_predictions(predictions)
-    least = run_threshold(predictions) if threshold is None else threshold
+    least = run_threshold(predictions) if given is None else given
     dataset = open_labelled(split)
     keypoints_px = split_keypoints_px(dataset)
     check_images(Path(predictions), found, Path(split), keypoints_px.keys())

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.runs.predictions import Predictions
+from foreglow.types.arrays import check_kind, check_numbers
 
 NEVER = -np.inf
 """Score of what no box holds: below every threshold."""
@@ -124,17 +125,18 @@ def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions)
         predictions: Boxes and scores by image id.
 
     Raises:
-        ValueError: If the points have another shape.
+        ValueError: If the points have another shape, or an argument is of another type.
 
     >>> predictions = Predictions({7: np.array([[5.0, 5, 10, 10]])}, {7: np.ones(1)})
     >>> matches = match_boxes({7: np.array([[10, 10]])}, predictions)
     >>> matches.pair_point.tolist(), matches.pair_box.tolist()
     ([0], [0])
     """
+    check_kind("predictions", predictions, Predictions)
+    check_kind("keypoints_px", points_px, Mapping)
     points, boxes, scores = [np.empty((0, 2))], [np.empty((0, 4))], [np.empty(0)]
     for image_id, its_points in points_px.items():
-        if its_points.ndim != 2 or its_points.shape[1] != 2:
-            raise ValueError(f"keypoints_px: image {image_id}: expected shape (K, 2), got {its_points.shape}")
+        check_numbers(f"keypoints_px: image {image_id}", its_points, (None, 2))
         its_boxes = predictions.boxes_xyxy_px.get(image_id, boxes[0])
         points.append(np.asarray(its_points, np.float64))
         boxes.append(its_boxes)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource
+from foreglow.files import read_plain_json
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
@@ -101,7 +102,7 @@ def stack_frames(
 def _decoded(pixels: Path, index: Path) -> FrameStack | None:
     """The images that were decoded before; None if there are none, or they are damaged."""
     try:
-        stack = _stack(pixels, json.loads(index.read_text()))
+        stack = _stack(pixels, read_plain_json(index))
         size = sum(
             rows * columns * np.dtype(name).itemsize
             for (rows, columns), name in zip(stack.shapes, stack.dtypes, strict=True)

@@ -19,6 +19,7 @@ import numpy as np
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, PAPER, SPACES, Space
 from foreglow.plugins import first_line_of
+from foreglow.wording import check_one_of
 
 if TYPE_CHECKING:
     import optuna
@@ -72,10 +73,8 @@ class TuningSettings:
         for name in ("num_trials", "num_images", "num_finalists"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
-        if self.objective not in OBJECTIVES:
-            raise ValueError(f"objective: expected one of {', '.join(OBJECTIVES)}, got {self.objective!r}")
-        if self.space_name not in SPACES:
-            raise ValueError(f"space: expected one of {', '.join(SPACES)}, got {self.space!r}")
+        check_one_of(self.objective, OBJECTIVES, "objective")
+        check_one_of(self.space_name, SPACES, "space")
 
     @property
     def space_name(self) -> str:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
+from foreglow.files import MIB, read_text
 from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.plugins import first_line_of
 
@@ -86,16 +87,37 @@ class Detector(Protocol):
 class Backend(ABC):
     """A library that trains and runs YOLOs; every method raises `ModuleNotFoundError` if it is not installed."""
 
+    SIZES: tuple[str, ...] = ("n", "t", "s", "m", "l", "x")
+
     @abstractmethod
     def version(self) -> str:
         """The installed version."""
+
+    def check(self, config: YoloConfig) -> None:
+        """Passes what can be trained here, before anything is exported or written.
+
+        Raises:
+            FileNotFoundError: If the weights to start from are missing.
+            ValueError: If they are damaged, the library does not have this size, or there is no such GPU.
+        """
+        if config.size not in self.SIZES:
+            raise ValueError(f"size: expected one of {', '.join(self.SIZES)} for {config.backend}, got {config.size!r}")
+        if config.weights:
+            if not Path(config.weights).is_file():
+                raise FileNotFoundError(f"{config.weights}: no such file, expected weights to start from")
+            check_torch_file(Path(config.weights))
+        if config.device.isdigit():
+            import torch
+
+            if int(config.device) >= torch.cuda.device_count():
+                raise ValueError(f"device: expected auto or cpu, torch has no GPU with the number {config.device}")
 
     @abstractmethod
     def train(self, data_file: Path, folder: Path, config: YoloConfig) -> Path:
         """Trains from random or the given weights, or continues a training in `folder`; returns the best weights' path.
 
         Raises:
-            ValueError: If the library does not have this size, or a checkpoint in `folder` is broken.
+            ValueError: If a checkpoint in `folder` is broken.
         """
 
     @abstractmethod
@@ -174,20 +196,16 @@ class UltralyticsBackend(Backend):
 
     def train(self, data_file: Path, folder: Path, config: YoloConfig) -> Path:
         """See `Backend.train`."""
-        if config.size not in self.SIZES:
-            raise ValueError(f"size: expected one of {', '.join(self.SIZES)} for ultralytics, got {config.size!r}")
         make_network = _ultralytics().YOLO
         run = folder / "run"
         best, checkpoint = run / "weights" / "best.pt", run / "weights" / "last.pt"
         if not checkpoint.exists():
-            if config.weights:
-                check_torch_file(Path(config.weights))
             make_network(config.weights or f"yolov5{config.size}.yaml").train(
                 **training_arguments(config, data_file, run), device=_device(config), plots=False
             )
         else:
             epochs = run / "results.csv"  # a line each, below a header
-            num_done = len(epochs.read_text(encoding="utf-8").splitlines()) - 1 if epochs.exists() else 0
+            num_done = len(read_text(epochs, MIB, errors="replace").splitlines()) - 1 if epochs.exists() else 0
             if num_done < config.epochs:
                 check_torch_file(checkpoint)
                 make_network(str(checkpoint)).train(resume=True)

@@ -22,6 +22,7 @@ from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_bo
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
+from foreglow.wording import check_one_of
 
 CLASS_NAME = "light_artifact"
 SETTINGS_NAME, DATA_NAME = "export.json", "data.yaml"
@@ -91,10 +92,12 @@ def export_yolo(
 
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
-        ValueError: If a file is broken, there is no such preset, `folder` holds another export, or another run is
-            writing into it.
+        ValueError: If a file is broken, there is no such preset or split, `folder` holds another export, or another run
+            is writing into it.
         OSError: If the disk is full; the message names the file.
     """
+    for name in splits:
+        check_one_of(name, SPLIT_NAMES, "splits")
     if not data.is_dir():
         raise FileNotFoundError(f"{data}: no such folder, expected a data set with train, val and test")
     wanted = existing_splits(data, splits)

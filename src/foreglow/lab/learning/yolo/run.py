@@ -104,9 +104,8 @@ def train_yolo(
         ValueError: If a file is broken, or `folder` holds a run with other settings.
         ModuleNotFoundError: If the library is not installed.
     """
-    if config.weights and not Path(config.weights).is_file():
-        raise FileNotFoundError(f"{config.weights}: no such file, expected weights to start from")
     backend = BACKENDS[config.backend]()
+    backend.check(config)
     origin = {"data": str(data), f"{config.backend}_version": backend.version()} | provenance()
     exported, data_file = _exported(data, folder, config, preset_name, progress)
     settings = YoloSettings(training=config, boxes=exported.boxes, export_size_px=exported.size_px)
@@ -118,7 +117,7 @@ def train_yolo(
         check_claim(path, settings, known, "run")
     else:
         write_atomic(path, (json.dumps(settings.model_dump() | origin, indent=1) + "\n").encode())
-    if not (folder / RESULTS_NAME).exists():
+    if not (folder / RESULTS_NAME).exists() or not read_yolo_run(folder).weights.is_file():
         started = time.perf_counter()
         weights = backend.train(data_file, folder / "training", config)
         detector = backend.load(weights, config)

@@ -19,6 +19,7 @@ from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoBeam, RoadSpec, 
 from foreglow.lab.simulation.scenes.stream import COUNTRY, drawn_kind, drawn_vehicle, steady
 from foreglow.lab.simulation.scenes.surroundings import House, SurroundingsSpec
 from foreglow.lab.simulation.scenes.town import town
+from foreglow.wording import check_one_of
 
 SWAPPED = {
     "left": "right",
@@ -260,8 +261,7 @@ def scenario(name: str, seed: int = 0) -> Scene:
     Raises:
         ValueError: If there is no such scenario; the message lists those that exist.
     """
-    if name not in SCENARIOS:
-        raise ValueError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
+    check_one_of(name, SCENARIOS, "scenario")
     return SCENARIOS[name](Draw(seed, 0), name, seed)
 
 
@@ -273,10 +273,8 @@ def draw_scenes(num_scenes: int, seed: int, split: Split = "train", mixture: str
     """
     if num_scenes < 1:
         raise ValueError(f"scenes: expected at least 1, got {num_scenes}")
-    if split not in SPLITS:
-        raise ValueError(f"split: expected one of {', '.join(SPLITS)}, got {split!r}")
-    if mixture not in MIXTURES:
-        raise ValueError(f"mixture: expected one of {', '.join(MIXTURES)}, got {mixture!r}")
+    check_one_of(split, SPLITS, "split")
+    check_one_of(mixture, MIXTURES, "mixture")
     names, weights = list(MIXTURES[mixture]), list(MIXTURES[mixture].values())
     scenes = []
     for number in range(num_scenes):
@@ -291,7 +289,12 @@ def draw_scenes(num_scenes: int, seed: int, split: Split = "train", mixture: str
 
 
 def long_drives(num: int, seed: int, split: Split) -> tuple[Scene, ...]:
-    """Drives by every kind of road of `LONG_DRIVES` in turn, at least 20 s long, each with somebody to meet."""
+    """Drives by every kind of road of `LONG_DRIVES` in turn, at least 20 s long, each with somebody to meet.
+
+    Raises:
+        ValueError: If there is no such split.
+    """
+    check_one_of(split, SPLITS, "split")
     drives: list[Scene] = []
     number = 0
     while len(drives) < num:
@@ -326,7 +329,12 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
 
 
 def with_beam(scene: Scene, beam: EgoBeam) -> Scene:
-    """`scene` with another beam of our own vehicle."""
+    """`scene` with another beam of our own vehicle.
+
+    Raises:
+        ValueError: If there is no such beam.
+    """
+    check_one_of(beam, EgoBeam, "beam")
     return scene.model_copy(update={"ego": scene.ego.model_copy(update={"beam": beam})})
 
 

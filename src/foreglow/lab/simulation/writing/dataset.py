@@ -48,6 +48,7 @@ from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, read_
 from foreglow.lab.simulation.writing.street_data import StreetDataError, check_ego_on_map
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.whole_files import is_temporary
+from foreglow.wording import check_one_of
 
 SIMULATOR_VERSION = 2
 """Raise it whenever the same scene gives other bytes: then finished scenes of an earlier version are not mixed in."""
@@ -113,8 +114,7 @@ class DatasetConfig(FrozenModel):
 
 
 def _cycle(name: str) -> Cycle:
-    if name not in set(Cycle):
-        raise ValueError(f"cycle: expected one of {', '.join(Cycle)}, got {name!r}")
+    check_one_of(name, Cycle, "cycle")
     return Cycle(name)
 
 

@@ -120,6 +120,12 @@ class DetectorPlan:
                 raise ValueError(f"rows: expected some of {', '.join(ROWS)}, got {name!r}")
         if len(set(self.rows)) < len(self.rows):
             raise ValueError(f"rows: expected each once, got {', '.join(self.rows)}")
+        for name in self.given:
+            if name not in self.rows or (ROWS[name].kind == "yolo" and not self.with_yolo):
+                raise ValueError(
+                    f"{ROWS[name].option}: expected its row {name} among those that are made, which are "
+                    f"{', '.join(row for row in self.rows if self.with_yolo or ROWS[row].kind != 'yolo')}"
+                )
         check_given(self.given)
 
 

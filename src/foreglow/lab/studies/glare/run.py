@@ -39,6 +39,8 @@ from foreglow.whole_files import together, write_atomic
 DRIVES = "drives"
 """Folder of the scenes that are finished."""
 
+PLAN, CONFIG = "plan.json", "config.toml"
+
 
 NUM_LONG, LONG_SEED = 24, 41
 """How many long drives there are of a split, unless told otherwise, and the seed that they are drawn with."""
@@ -133,14 +135,36 @@ def run_experiment(
         FileNotFoundError: If there are no scenes, or a model of a car does not exist.
         ValueError: If they are broken, a stage of a car cannot be made, or the folder holds an experiment with another
             plan, model or scene.
-        OSError: If something cannot be written; scenes that are finished stay.
+        OSError: If something cannot be written; scenes that are finished stay, and without any of them the plan goes.
     """
     config = plan.delays.known_to(config)
     wanted = named_scenes(scenes, plan)
     _check_rates(wanted, config)
     plan.drives(config).cars()  # what is wrong with one is known before there is a folder
+    is_new, is_made = not (folder / PLAN).exists(), not folder.exists()
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
     _claim(folder, config, plan, wanted)
+    try:
+        _drive_missing(folder, config, plan, wanted, workers or Local(), progress)
+    except Exception:
+        if is_new and not any((folder / DRIVES).iterdir()):  # such as without the renderer: another plan may come
+            for name in (PLAN, CONFIG):
+                (folder / name).unlink()
+            (folder / DRIVES).rmdir()
+            if is_made:
+                folder.rmdir()
+        raise
+    return _scored(folder, wanted, plan, own_name(config))
+
+
+def _drive_missing(
+    folder: Path,
+    config: PipelineConfig,
+    plan: GlarePlan,
+    wanted: Sequence[NamedScene],
+    workers: Workers,
+    progress: Progress,
+) -> None:
     todo: dict[str, tuple[int, NamedScene]] = {}
     for number, named in enumerate(wanted, start=1):
         if _sightings_file(folder, named.name).exists():  # written after the drive
@@ -148,9 +172,8 @@ def run_experiment(
         else:
             todo[named.name] = number, named
     work = functools.partial(_drive, folder, config, plan)
-    for _ in (workers or Local()).each(work, todo, progress, paths=(folder,)):
+    for _ in workers.each(work, todo, progress, paths=(folder,)):
         pass
-    return _scored(folder, wanted, plan, own_name(config))
 
 
 def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
@@ -198,7 +221,7 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
     models = (each.classifier.model for each in (config, *plan.others(config).values()))
     files = {str(model): file_digest(model_path(model)) for model in models if model is not None}
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
-    file = folder / "plan.json"
+    file = folder / PLAN
     if file.exists():
         known = read_json(file, _Claimed)
         if known.digest != about["digest"]:
@@ -211,7 +234,7 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
     about |= {"models": files, "scenes": scenes}
     with together():
         write_json_results(file, about | provenance(), indent=2)
-        write_atomic(folder / "config.toml", config_to_toml(config).encode())
+        write_atomic(folder / CONFIG, config_to_toml(config).encode())
 
 
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:

@@ -114,7 +114,7 @@ def run_experiments(
         for name in wave:
             key = _key(name, plan, out, digest)
             before, found = known.get(name, {}), _results_digest(name, out)
-            if before.get("key") != key or not found or before.get("results", found) != found:
+            if before.get("key") != key or not found or before.get("results") != found:
                 todo[name] = name
                 known[name] = {"key": key} | ({"epochs": plan.epochs} if name == "detector" else {})
         work = functools.partial(_run, plan, out, inner)
@@ -159,14 +159,14 @@ def _run(plan: ReproductionPlan, out: Path, workers: Workers, name: str, parent:
     return {"seconds": time.monotonic() - started_s, "load": load, "reason": reason, "has_failed": has_failed}
 
 
-def _outcome(name: str, plan: ReproductionPlan, out: Path, known: Mapping[str, Any]) -> Outcome:
+def _outcome(name: str, plan: ReproductionPlan, out: Path, kept: Mapping[str, Any]) -> Outcome:
+    known = Known.model_validate(kept)  # a part of it may be lost
     file = out / name / EXPERIMENTS[name].results
-    results = read_plain_json(file) if file.is_file() and not known["reason"] else None
+    results = read_plain_json(file) if file.is_file() and not known.reason else None
     # Rows of the table of detectors that an interrupted call measured are not measured again.
     rows = (row for row in (results or {}).get("rows", []) if isinstance(row, dict))
-    load = max([known["load"], *(row.get("load", 0.0) for row in rows)])
-    has_failed = known.get("has_failed", False)
-    return Outcome(_words(name, plan, out), known["seconds"], load, known["reason"], has_failed, results)
+    load = max([known.load, *(row.get("load", 0.0) for row in rows)])
+    return Outcome(_words(name, plan, out), known.seconds, load, known.reason, known.has_failed, results)
 
 
 def _results_digest(name: str, out: Path) -> str:

@@ -1,0 +1,51 @@
+"""Words that messages share: a value at a sane length, and what was expected of a text."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any, get_args
+
+
+class _Short(reprlib.Repr):
+    """Cuts what is long; a number of thousands of digits cannot be written at all."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        return f"a whole number of {x.bit_length()} bits" if x.bit_length() > 10_000 else super().repr_int(x, level)
+
+
+_SHORT = _Short()
+_SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 3, 4, 6, 6
+_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
+
+
+def shortened(value: object) -> str:
+    """`value` as Python writes it, cut for a message, whatever its size.
+
+    >>> shortened([1, "x" * 1000])[:6], len(shortened([1, "x" * 1000]))
+    ("[1, 'x", 80)
+    >>> shortened([*range(1000)]), shortened(10**5000)
+    ('[0, 1, 2, 3, 4, 5, ...]', 'a whole number of 16610 bits')
+    """
+    as_list = getattr(value, "tolist", None)  # of an array or a scalar of NumPy's
+    text = _SHORT.repr(as_list() if callable(as_list) else value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def check_one_of(value: object, choices: Any, field: str) -> None:
+    """Passes one of some texts: Python callers may give anything, whatever the signature says.
+
+    Args:
+        value: What was given.
+        choices: The texts, or the `Literal` of them.
+        field: What it was given as, for the message.
+
+    Raises:
+        ValueError: If it is another one, or no text.
+
+    >>> check_one_of("RGB", ("rgb", "bgr"), "order")
+    Traceback (most recent call last):
+    ValueError: order: expected one of rgb, bgr, got 'RGB'
+    """
+    known = get_args(choices) or tuple(choices)
+    if not isinstance(value, str) or value not in known:
+        raise ValueError(f"{field}: expected one of {', '.join(known)}, got {shortened(value)}")
