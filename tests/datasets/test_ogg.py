@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from foreglow.datasets import Video
 from foreglow.datasets.ogg import CAPTURE, checksum
-from tests.datasets.test_video_damage import make_noise
+from tests.datasets.test_video_damage import make_noise, make_stream
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,23 @@ def test_what_is_wrong_is_told(film: bytes, tmp_path: Path, kind: str, found: st
     video = Video(path, on_error="skip")
     list(video)
     assert len(video.lost_parts) >= 1
+
+
+@pytest.mark.parametrize("kind", ["a page is missing", "a wrong bit"])
+def test_frames_behind_a_hole_are_marked(tmp_path: Path, kind: str) -> None:
+    """FFmpeg goes on with the next page, whose pictures differ from others than those that are there."""
+    path = tmp_path / "night.ogg"
+    make_stream(path, num_frames=40, codec="libvpx")
+    whole, film = [frame.image for frame in Video(path)], path.read_bytes()
+    pages = pages_of(film)
+    page, following = pages[20], pages[21]
+    flipped = film[: page + 40] + bytes([film[page + 40] ^ 1]) + film[page + 41 :]
+    path.write_bytes(flipped if kind == "a wrong bit" else film[:page] + film[following:])
+    frames = list(Video(path, on_error="mark"))
+    assert len(frames) < 40
+    for frame in frames:
+        if not frame.is_damaged:
+            assert min(np.abs(frame.image.astype(int) - image).mean() for image in whole) == 0
 
 
 def test_a_cut_within_a_page(film: bytes, tmp_path: Path) -> None:

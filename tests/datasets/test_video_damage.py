@@ -19,10 +19,15 @@ GOP = 12
 
 
 def make_stream(path: Path, *, num_frames: int = 60, codec: str = "mpeg2video", pid: int = 0x100) -> bytes:
-    """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame."""
+    """A transport stream of noise that moves, with a key frame every `GOP` frames and some packets for each frame.
+
+    With the suffix .ogg, an Ogg file with a page for each frame.
+    """
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (96, 128 + num_frames, 3), np.uint8)
-    with av.open(str(path), "w", format="mpegts", options={"mpegts_start_pid": str(pid)}) as container:
+    is_ogg = path.suffix == ".ogg"
+    options = {"page_duration": "1000"} if is_ogg else {"mpegts_start_pid": str(pid)}
+    with av.open(str(path), "w", format="ogg" if is_ogg else "mpegts", options=options) as container:
         stream: Any = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
         stream.bit_rate, stream.gop_size = 1_000_000, GOP

@@ -7,8 +7,9 @@ second film behind the first. Only where parts begin and end is looked at: their
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from foreglow.datasets import asf, matroska, ogg, program_stream
 from foreglow.datasets.images import MAX_SIDE_PX
@@ -73,8 +74,19 @@ def missing_bytes(path: Path) -> int:
     return max(0, end - size)
 
 
-def hole(path: Path, demultiplexer: str = "") -> str:
-    """A line about the first damage between parts of a file, or about a second film in it; empty if there is none.
+class Hole(NamedTuple):
+    """Damage between parts of a file: a line about the first, and at which bytes there is some."""
+
+    words: str
+    places: Sequence[int] = ()
+
+    def are_between(self, start: int, stop: int) -> bool:
+        """Whether something is lost within these bytes of the file, as `transport.TransportLosses` says it."""
+        return any(start <= place < stop for place in self.places)
+
+
+def hole(path: Path, demultiplexer: str = "") -> Hole | None:
+    """The damage between parts of a file, or a second film in it; None if there is none.
 
     Behind the damage of Matroska, AVI, ASF/WMV, MXF, FLV, Ogg and MPEG program streams the demultiplexer silently goes
     on, or ends. `demultiplexer` is FFmpeg's name of it, which says more than the first bytes where those are damaged.
@@ -84,7 +96,8 @@ def hole(path: Path, demultiplexer: str = "") -> str:
         head = file.read(12)
         if head[4:8] in _MP4_BEGINNINGS:
             second = _mp4(file, size)[1]
-            return _second_film(path, second, "moov box") if second is not None else ""
+            return None if second is None else Hole(_second_film(path, second, "moov box"))
+        places: Sequence[int] = ()
         if head.startswith(matroska.MAGIC):
             kind, what, damage = "a Matroska file", "an element", matroska.first_damage(path)
         elif _is_avi(head):
@@ -98,21 +111,24 @@ def hole(path: Path, demultiplexer: str = "") -> str:
         elif head.startswith(program_stream.PACK) or (demultiplexer == "mpeg" and head.startswith(bytes(4))):
             kind, what, damage = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
         elif head.startswith(ogg.CAPTURE) or demultiplexer == "ogg":
-            kind, what, damage = "an Ogg file", "a page", ogg.walk(file, size)[1]
+            kind, what, places = "an Ogg file", "a page", ogg.walk(file, size)[1]
+            damage = next(iter(places), None)
         elif demultiplexer == "mjpeg":
-            return _before_pictures(path, file)
+            before = _before_pictures(path, file)
+            return Hole(before) if before else None
         else:
-            return ""
+            return None
         if damage is None:
-            return ""
+            return None
         file.seek(damage)
         if file.read(16).startswith((_FLV, asf.HEADER)):
-            return _second_film(path, damage, "header")
+            return Hole(_second_film(path, damage, "header"))
     found = "damage" if damage < size else "the end of the file"
-    return (
+    words = (
         f"{path}: byte {damage}: expected {what} of {kind}, found {found}; frames may be missing from "
         "there on, and those behind have too small numbers"
     )
+    return Hole(words, places or [damage])
 
 
 def _second_film(path: Path, position: int, what: str) -> str:

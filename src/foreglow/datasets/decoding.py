@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
-from foreglow.datasets.transport import TransportLosses, with_losses
+from foreglow.datasets.transport import Losses, with_losses
 from foreglow.datasets.unshown import Unshown
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
@@ -74,7 +74,7 @@ def video_stream(container: Any, name: str) -> Any:
     return stream
 
 
-def decoded(container: Any, stream: Any, losses: TransportLosses | None = None) -> Iterator[tuple[Any | None, bool]]:
+def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterator[tuple[Any | None, bool]]:
     """Each picture, and whether it is damaged; None if packets at the end gave no picture because of damage.
 
     Damaged are the pictures from a packet that is cut, incomplete or undecodable on, because each is coded as what

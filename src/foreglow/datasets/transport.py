@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,13 @@ _NUM_SYNCS = 4  # so many packets in a row begin with 0x47 where packets begin a
 _LAYOUT_BYTES = 1 << 16  # of the beginning, by which the packets' size is known
 _FOREVER = 1 << 62
 _MOST_HELD = 256  # packets of video whose place is unknown until that of a later one is known
+
+
+class Losses(Protocol):
+    """Where something of a file is lost."""
+
+    def are_between(self, start: int, stop: int) -> bool:
+        """Whether something is lost within these bytes of the file; `start` never goes back."""
 
 
 class TransportLosses:
@@ -126,7 +133,7 @@ class TransportLosses:
         self._losses.append((start, stop))
 
 
-def with_losses(packets: Iterable[Any], losses: TransportLosses | None) -> Iterator[tuple[Any, bool]]:
+def with_losses(packets: Iterable[Any], losses: Losses | None) -> Iterator[tuple[Any, bool]]:
     """Each packet of a demultiplexer, one later than it comes, and whether something is lost in its part of the file.
 
     A packet reaches up to the next whose place is known. Without `losses`, packets come at once, and none is lost.

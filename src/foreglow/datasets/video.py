@@ -99,7 +99,7 @@ class Video(FileSource):
             # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
             self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
-            self._hole = "" if missing else hole(self.path, container.format.name)
+            self._hole = None if missing else hole(self.path, container.format.name)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
         self.note = ""
@@ -109,8 +109,9 @@ class Video(FileSource):
                 f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
                 "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
             )
-        if (self._truncation or self._hole) and on_error == "stop":
-            raise ValueError(self._truncation or self._hole)
+        self._lost = [message for message in (self._truncation, self._hole.words if self._hole else "") if message]
+        if self._lost and on_error == "stop":
+            raise ValueError(self._lost[0])
 
     @property
     def name(self) -> str:
@@ -118,7 +119,7 @@ class Video(FileSource):
         return self.path.name
 
     def __iter__(self) -> Iterator[Frame]:
-        self.lost_parts = [message for message in (self._truncation, self._hole) if message]
+        self.lost_parts = [*self._lost]
         self.skipped = [*self.lost_parts]
         return self._frames()
 
@@ -131,7 +132,7 @@ class Video(FileSource):
             with self._opened() as (container, stream):
                 whole = _Whole(container)
                 is_transport = container.format.name == "mpegts"
-                losses = TransportLosses(self.path, stream.id) if is_transport else None
+                losses = TransportLosses(self.path, stream.id) if is_transport else self._hole
                 for picture, is_damaged in decoded(whole, stream, losses):
                     index += 1
                     time = whole.times.popleft() if whole.times else None
