@@ -287,6 +287,23 @@ def test_a_broken_frame_of_an_asc_is_named(line: str, tmp_path: Path) -> None:
         read_can_log(path)
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "",
+        "date Thu Nov 26 10:00:00.000 am 2026\nbase hex timestamps absolute\n",
+        "; a recorder of ours\n\ndate Thu Nov 26 10:00:00.000 am 2026\nbase hex timestamps absolute\n",
+        "base hex timestamps absolute\nno internal events logged\n",
+    ],
+)
+def test_the_first_frame_of_an_asc_counts_whatever_its_head_is(tmp_path: Path, head: str) -> None:
+    whole, path = tmp_path / "whole.asc", tmp_path / "drive.asc"
+    write_can_log(whole, [(0, message())])
+    frames = [line for line in whole.read_text().splitlines() if re.match(r"\s*\d+\.\d+\s+\d+\s+\w+\s+[RT]x", line)]
+    path.write_text(head + "\n".join(frames) + "\n")
+    assert read_can_log(path).has_street
+
+
 EVENTS = """
 // 1.0 1 3A1 Rx d 8 00
 //1.0 1 3A1 Rx d 8 00

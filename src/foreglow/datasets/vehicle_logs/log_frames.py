@@ -54,6 +54,8 @@ _ASC_FRAME = re.compile(  # time, channel, identifier, direction, kind: of other
 )
 """What is a frame of an .asc with a time, channel or identifier that cannot be read, which python-can passes over."""
 
+_ASC_HEAD = re.compile(r"\s*(date\s|base\s|//|(no)?\s*internal\s+events\s+logged)", re.IGNORECASE)
+_ASC_HEAD_END = re.compile(r"\s*((no)?\s*internal\s+events\s+logged|begin\s+trigger|\d)", re.IGNORECASE)
 _ASC_DATA = re.compile(r"\s*\S+\s+\d+\s+\S+\s+\S+\s+d\s+(\S+)\s*(.*)", re.IGNORECASE)  # length and bytes
 _MAX_DLC = 15  # of four bits; above 8 it means 8 bytes without CAN FD
 _BLF_CONTAINER = 10
@@ -184,8 +186,28 @@ class _TextLog(io.TextIOWrapper):
         lines: Any = super()
         self._lines: Iterator[str] = bounded_lines(lines, path, MAX_LOG_LINE_BYTES)
         self.line, self.number, self.is_told = "", 0, False
+        self._is_head, self._waits = path.suffix.lower() == ".asc", False
 
     def __next__(self) -> str:  # type: ignore[override]  # typeshed has bytes there, for all files
+        """The next line; of the head of an .asc those that python-can knows, and an empty one at its end.
+
+        python-can ends the head with the first line that it does not know, and leaves that out, even if it is a frame.
+        """
+        if self._waits:
+            self._waits = False
+            return self.line
+        line = self._next()
+        while self._is_head:
+            self._is_head = not _ASC_HEAD_END.match(line)
+            if _ASC_HEAD.match(line):
+                return line
+            if not self._is_head:
+                self._waits = True
+                return "\n"
+            line = self._next()
+        return line
+
+    def _next(self) -> str:
         try:
             self.line = next(self._lines)
         except ValueError:
