@@ -59,6 +59,8 @@ def fake_libreyolo(calls: Calls, best: float = 0.5) -> ModuleType:
             self.model = small_network()
 
         def train(self, **arguments: Any) -> None:
+            if arguments.get("resume") and arguments.get("pretrained") is False:  # as the library says since 1.6
+                raise ValueError("pretrained=False cannot be combined with resume.")
             calls.trained.append(arguments)
             weights = Path(arguments["project"]) / arguments["name"] / "weights"
             weights.mkdir(parents=True, exist_ok=True)

@@ -162,12 +162,11 @@ class LibreBackend(Backend):
         num_done = int(_read_checkpoint(checkpoint)["epoch"]) + 1 if checkpoint.exists() else 0
         if num_done < config.epochs:
             network = LibreYOLOX(None, size=config.size, nb_classes=1, device=config.device)
-            network.train(
-                **training_arguments(config, data_file, run),
-                **schedule(config),
-                device=config.device,
-                resume=str(checkpoint) if num_done else False,
-            )
+            arguments = training_arguments(config, data_file, run)
+            if num_done:  # refused beside pretrained=False, which would begin from random weights again
+                del arguments["pretrained"]
+                arguments["resume"] = str(checkpoint)
+            network.train(**arguments, **schedule(config), device=config.device)
         return best if best.exists() and _read_checkpoint(best)["best_mAP50_95"] > 0 else checkpoint
 
     def load(self, weights: Path, config: YoloConfig) -> Detector:
