@@ -90,6 +90,11 @@ def test_other_outermost_objects(tmp_path: Path, document: Any) -> None:
         ([line([[9.0, 48.0], [9.0, 48.0]])], "feature 0: coordinates: expected points that differ"),
         ([7], "feature 0: expected a GeoJSON object, got int"),
         ([{"type": "MultiLineString", "coordinates": 3}], "feature 0: coordinates: expected a list"),
+        (
+            [{"type": "LineSting", "coordinates": PLACES}],
+            "feature 0: type: expected one of GeoJSON, such as LineString",
+        ),
+        ([{"coordinates": PLACES}], "feature 0: type: expected one of GeoJSON, such as LineString, got None"),
     ],
 )
 def test_errors(tmp_path: Path, features: list[Any], message: str) -> None:

@@ -155,7 +155,25 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
         ),
         (
             road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="wide")),
-            "road 7: <width> a: expected a finite number, got 'wide'",
+            "road 7: lane -1: <width> a: expected a finite number, got 'wide'",
+        ),
+        *(
+            (
+                road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="3.25").replace(*change)),
+                words,
+            )
+            for change, words in (
+                (('a="3.25"', 'A="3.25"'), "road 7: lane -1: <width> a: expected a finite number, got nothing"),
+                (('a="3.25"', 'a="-3.25"'), "road 7: lane -1: width: expected at least 0 m, got -3.25"),
+                (
+                    ('<width sOffset="0" a="3.25"', '<width sOffset="50" a="3.25"'),
+                    "road 7: lane -1: expected <width> from sOffset 0 on, got the first one from 50 m on",
+                ),
+                (
+                    ('<width sOffset="0" a="3.25" b="0" c="0" d="0"/></lane></right>', "</lane></right>"),
+                    "road 7: lane -1: expected <width> from sOffset 0 on, got none",
+                ),
+            )
         ),
         (
             road(geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right="1e4")),

@@ -27,6 +27,12 @@ from foreglow.maps.road_map import RoadMap
 from foreglow.street import LANE_WIDTH_M
 from foreglow.wording import shortened
 
+OTHER_GEOMETRIES = ("Point", "MultiPoint", "Polygon", "MultiPolygon", "GeometryCollection")
+"""Kinds of geometries that are no roads."""
+
+NOWHERE = {"type": "GeometryCollection"}
+"""What a feature without a geometry has."""
+
 
 def read_geojson(path: Path) -> RoadMap:
     """The lines of a GeoJSON file, whose first point becomes the map's origin; other geometries are ignored.
@@ -82,7 +88,8 @@ def _lines(document: Any, origin: str) -> Iterator[tuple[str, Floats, float]]:
         properties = document.get("properties") or {}
         width_m = _width_m(properties.get("width"), origin) if isinstance(properties, dict) else 2 * LANE_WIDTH_M
         yield from (
-            (where, coordinates, width_m) for where, coordinates, _ in _lines(document.get("geometry") or {}, origin)
+            (where, coordinates, width_m)
+            for where, coordinates, _ in _lines(document.get("geometry") or NOWHERE, origin)
         )
     elif kind == "MultiLineString":
         coordinates = document.get("coordinates")
@@ -92,6 +99,8 @@ def _lines(document: Any, origin: str) -> Iterator[tuple[str, Floats, float]]:
         yield origin, _coordinates(document.get("coordinates"), origin), 2 * LANE_WIDTH_M
     elif not isinstance(document, dict):
         raise ValueError(f"{origin}: expected a GeoJSON object, got {type(document).__name__}")
+    elif kind not in OTHER_GEOMETRIES:
+        raise ValueError(f"{origin}: type: expected one of GeoJSON, such as LineString, got {shortened(kind)}")
 
 
 def _coordinates(values: Any, origin: str) -> Floats:

@@ -41,6 +41,9 @@ MAX_GAP_M = 1.0
 """Where a geometry or a road ends by its length, the next one begins, or the road ends, to this. Without the rest of a
 road its last geometry would go on, in a spiral with ever sharper bends."""
 
+WIDTH_TOLERANCE_M = 0.1
+"""A lane's widths begin no later behind the beginning of its section, and none falls further below 0."""
+
 MAX_STEP_M = 5.0
 """Neighbouring points of a reference line, `STEP_M` apart along it, are no further apart than this."""
 
@@ -189,11 +192,27 @@ def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> F
     """Piecewise cubics a + b ds + c ds^2 + d ds^3, each from its `begin` on, shape (N,); 0 before the first."""
     pieces = sorted(pieces, key=lambda piece: number_of(piece, begin, origin))
     begins_m = np.array([number_of(piece, begin, origin) for piece in pieces])
-    terms = [[number_of(piece, name, origin, 0.0) for name in _COEFFICIENTS] for piece in pieces]
+    terms = [
+        [number_of(piece, "a", origin), *(number_of(piece, name, origin, 0.0) for name in _COEFFICIENTS[1:])]
+        for piece in pieces
+    ]
     numbers = np.searchsorted(begins_m, ways_m + 1e-9, side="right")  # 0 before the first
     a, b, c, d = np.array([[0.0] * 4, *terms])[numbers].T
     ds_m = ways_m - np.concatenate([[0.0], begins_m])[numbers]
     return np.asarray(a + ds_m * (b + ds_m * (c + ds_m * d)))
+
+
+def _width_m(lane: Element, ways_m: Floats, origin: str) -> Floats:
+    """The lane's width at distances from the beginning of its section."""
+    name, widths = f"{origin}: lane {lane.get('id')}", lane.findall("width")
+    first_m = min((number_of(width, "sOffset", origin) for width in widths), default=None)
+    if first_m is None or abs(first_m) > WIDTH_TOLERANCE_M:
+        got = "none" if first_m is None else f"the first one from {first_m:g} m on"
+        raise ValueError(f"{name}: expected <width> from sOffset 0 on, got {got}")
+    width_m = _cubics(widths, ways_m, "sOffset", name)
+    if width_m.size and width_m.min() < -WIDTH_TOLERANCE_M:
+        raise ValueError(f"{name}: width: expected at least 0 m, got {width_m.min():g}")
+    return width_m
 
 
 def _edges_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats] | None:
@@ -218,7 +237,7 @@ def _edges_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats
                 lane, is_driven = lanes.pop(0), are_driven.pop(0)
                 if lane.find("border") is not None:
                     raise ValueError(f"{origin}: lane {lane.get('id')}: expected <width>, got <border>, not read")
-                width_m = _cubics(lane.findall("width"), ways_m[here] - begins_m[number], "sOffset", origin)
+                width_m = _width_m(lane, ways_m[here] - begins_m[number], origin)
                 outer_m = inner_m + width_m
                 if is_driven:
                     is_there = width_m > 0
