@@ -411,3 +411,27 @@ def test_what_is_no_image_has_no_colour(array: Any) -> None:
         to_grey(array)
     with pytest.raises(ValueError, match=re.escape(str(grey.value))):
         red_chroma(array)
+
+
+def tiff(pixels: NDArray[np.uint8], extra: int) -> bytes:
+    """An uncompressed TIFF whose last channel is of the kind `extra` (ExtraSamples)."""
+    height, width, channels = pixels.shape
+    short, long = 3, 4
+    entries = [(256, short, width), (257, short, height), (258, short, 8), (259, short, 1), (262, short, 2)]
+    entries += [(273, long, 8), (277, short, channels), (278, short, height), (279, long, pixels.nbytes)]
+    entries += [(284, short, 1), (338, short, extra)]
+    directory = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
+    head = b"II*\0" + struct.pack("<I", 8 + pixels.nbytes)
+    return head + pixels.tobytes() + struct.pack("<H", len(entries)) + directory + bytes(4)
+
+
+def test_tiff_with_an_opacity_is_refused(tmp_path: Path) -> None:
+    """OpenCV would darken what is not opaque; a further channel of another kind is left out."""
+    pixels = np.full((80, 96, 4), 200, np.uint8)
+    pixels[:, :, 3] = 0
+    path = tmp_path / "night.tif"
+    path.write_bytes(tiff(pixels, extra=0))
+    assert (read_image(path) == 200).all()
+    path.write_bytes(tiff(pixels, extra=2))
+    with pytest.raises(ValueError, match=r"night\.tif: expected a TIFF without an opacity \(alpha\), got one with"):
+        read_image(path)

@@ -78,7 +78,8 @@ def read_image(path: Path | str) -> Image:
 
     The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are, but those of a PGM or PPM
     are scaled to 8 or 16 bits, as its header says what white is. Colour becomes grey as
-    in `to_grey`, alpha is dropped, an EXIF orientation is applied. `.npy` has an array as `to_grey` takes it,
+    in `to_grey`, alpha is dropped (a TIFF with it is refused), an EXIF orientation is applied. `.npy` has an array as
+    `to_grey` takes it,
     colour in the order R, G, B. JPEG has no checksum: wrong bits that are the code of another picture go unnoticed.
 
     Raises:
