@@ -200,6 +200,20 @@ def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[
     assert journal.read_bytes() == before
 
 
+@pytest.mark.parametrize(("code", "what"), [(0, "study 0"), (4, "trial 2")])
+def test_a_lost_beginning_of_a_search_or_of_a_trial_is_told(data: Path, tmp_path: Path, code: int, what: str) -> None:
+    """Optuna passes over what follows from it: the search began anew without a word."""
+    searched(data, tmp_path, 3)
+    journal = tmp_path / "study.journal"
+    lines = journal.read_bytes().splitlines(keepends=True)
+    begin = [line for line in lines if json.loads(line)["op_code"] == code]
+    journal.write_bytes(b"".join(line for line in lines if line not in (begin if code == 0 else begin[-1:])))
+    with pytest.raises(
+        ValueError, match=rf"study\.journal: line \d+: expected a line before that begins {what}; choose"
+    ):
+        searched(data, tmp_path, 5)
+
+
 @pytest.mark.parametrize("code", [5, 8])
 def test_a_record_of_a_trial_that_is_lost_is_told(data: Path, tmp_path: Path, code: int) -> None:
     """One with a parameter, or with an attribute such as its measurement."""

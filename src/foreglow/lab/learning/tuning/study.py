@@ -39,6 +39,9 @@ IMPORTANCE_TRIALS = 20
 _JOURNAL = b'{"op_code":'
 """With this each line of a journal begins."""
 
+_BEGINS_STUDY, _BEGINS_TRIAL = 0, 4
+"""What Optuna calls these records (`op_code`); studies and trials have the numbers in which they began."""
+
 _WAYS_OUT = "choose another folder or storage, or remove this file"
 
 _SQLITE = "sqlite:///"
@@ -153,18 +156,31 @@ def check_journal(path: Path) -> None:
         if file.read(len(_JOURNAL)) not in (b"", _JOURNAL):
             raise NoJournalError(f"{path}: expected a new file, or the journal of a search, which begins with its line")
         file.seek(0)
+        names, num_trials = set[str](), 0
         for number, line in enumerate(file, start=1):
-            if line.endswith(b"\n") and not _is_record(line):  # without it, it is being written, or never was
+            if not line.endswith(b"\n"):  # it is being written, or never was
+                break
+            record = _record(line)
+            if record is None:
                 raise NoJournalError(f"{path}: line {number}: expected a whole record of a search; {_WAYS_OUT}")
+            study, trial = record.get("study_id", -1), record.get("trial_id", -1)
+            if not (-1 <= study < len(names) and -1 <= trial < num_trials):
+                what = f"study {study}" if study >= len(names) else f"trial {trial}"
+                raise NoJournalError(f"{path}: line {number}: expected a line before that begins {what}; {_WAYS_OUT}")
+            if record["op_code"] == _BEGINS_STUDY:
+                names.add(str(record.get("study_name")))
+            num_trials += record["op_code"] == _BEGINS_TRIAL
 
 
-def _is_record(line: bytes) -> bool:
-    """Whether this is a line of a journal as Optuna writes it; a wrong digit in it is not noticed."""
+def _record(line: bytes) -> dict[str, Any] | None:
+    """A line of a journal as Optuna writes it; None for another one. A wrong digit in it is not noticed."""
     try:
         record = json.loads(line)
     except (ValueError, RecursionError):
-        return False
-    return isinstance(record, dict) and type(record.get("op_code")) is int and isinstance(record.get("worker_id"), str)
+        return None
+    is_one = isinstance(record, dict) and type(record.get("op_code")) is int
+    is_one = is_one and isinstance(record.get("worker_id"), str)
+    return record if is_one and all(type(record.get(name, 0)) is int for name in ("study_id", "trial_id")) else None
 
 
 def check_database(path: Path) -> None:
