@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import math
@@ -29,7 +30,7 @@ from foreglow.runtime.live.loop import SWITCH_S, quick_switching
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.notify import ServiceNotifier
 from foreglow.runtime.live.watch import FrameWatch
-from foreglow.types import Frame, FrameResult
+from foreglow.types import Frame, FrameResult, Image
 from tests.runtime.live.stand_ins import Keeper
 from tests.stand_ins import ListSource, night_frames, result_of
 
@@ -163,6 +164,24 @@ def test_watch_of_the_order() -> None:
     assert book.counts["frame_out_of_order"] == 1
     other = Frame(np.zeros((2, 2), np.uint8), 0, sequence="another")
     assert watch.arrived(other)  # sequences share no time
+
+
+@pytest.mark.parametrize("image", [np.zeros((4, 2), np.uint8), np.zeros((2, 2), np.uint16)])
+def test_watch_of_another_size_with_another_sequence(image: Image) -> None:
+    """As of a folder whose images change: the guard, which begins anew with the sequence, does not know."""
+    book = FaultBook(lambda: 0, ("camera",))
+    watch = FrameWatch(LiveConfig(), 0.05, book, max_silence_s=None)
+    (first,) = frames_at(0)
+    watch.arrived(first)
+    for sequence in ("another", "a third"):
+        watch.arrived(dataclasses.replace(first, sequence=sequence))
+        assert not book.active
+    seen = []
+    for number in range(42):
+        frame = Frame(image, round(number * PERIOD_NS), sequence="resized")
+        watch.arrived(frame)
+        seen.append(list(book.active))
+    assert seen == [["sequence_resized"]] * 40 + [[]] * 2
 
 
 def test_watch_of_a_frame_with_a_wrong_time() -> None:

@@ -26,6 +26,8 @@ class LiveFault(StrEnum):
     """By the times, a frame is missing before this one; noted alone, as the next one is there."""
     OUT_OF_ORDER = "frame_out_of_order"
     """A frame is not newer than the previous one; it is not used."""
+    RESIZED = "sequence_resized"
+    """A sequence has images of another size or type than the one before, until 40 of them are known."""
     STAGE_FAILED = "stage_failed"
     """A stage raised an error."""
     STAGE_HANGS = "stage_hangs"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from foreglow.beam.camera_watch import NUM_UNKNOWN
 from foreglow.config import LiveConfig
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.types import Frame
@@ -17,7 +18,11 @@ next frame is compared with this one."""
 
 
 class FrameWatch:
-    """Checks the timestamps of frames, and the silence between them by the wall clock."""
+    """Checks the timestamps of frames, and the silence between them by the wall clock.
+
+    And whether a sequence has images of another size or type than the one before, as where those of a folder change:
+    the guard, which begins anew with each sequence, cannot know.
+    """
 
     def __init__(
         self, config: LiveConfig, period_s: float, book: FaultBook, *, speed: float = 1.0, max_silence_s: float | None
@@ -41,6 +46,7 @@ class FrameWatch:
         self._frame_s = time.monotonic()
         self._latest: Frame | None = None
         self._num_slow, self._num_in_time = 0, config.num_steady
+        self._num_unknown = 0  # images until those of another size are known
         self._lost = ""
 
     def arrived(self, frame: Frame) -> bool:
@@ -54,11 +60,14 @@ class FrameWatch:
                 return False
         else:
             self._book.begin_clock(self._speed)
+            if before is not None and _format(before) != _format(frame):
+                self._num_unknown = NUM_UNKNOWN
         self._heard(frame)
         is_slow = step_ns > self._max_step_ns
         self._num_slow = self._num_slow + 1 if is_slow else 0
         self._num_in_time = 0 if self._num_slow >= 2 else self._num_in_time + (not is_slow)
         self._note()
+        self._num_unknown = max(0, self._num_unknown - 1)
         is_lost = self._num_slow == 1  # the second in a row is a slow camera
         detail = f"{step_ns / 1e6:.0f} ms before {frame.path or f'frame {frame.frame}'}" if is_lost else ""
         self._book.note(GAP, [LiveFault.FRAME_LOST] if is_lost else [], detail)
@@ -96,4 +105,9 @@ class FrameWatch:
 
     def _note(self, *faults: LiveFault) -> None:
         slow = [] if self._num_in_time >= self._num_steady else [LiveFault.CAMERA_SLOW]
-        self._book.note(CAMERA, [*faults, *slow], self._lost)
+        resized = [LiveFault.RESIZED] if self._num_unknown else []
+        self._book.note(CAMERA, [*faults, *slow, *resized], self._lost)
+
+
+def _format(frame: Frame) -> tuple[object, ...]:
+    return (*frame.image.shape, frame.image.dtype)
