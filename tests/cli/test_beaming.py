@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from foreglow import read_config
-from foreglow.config import BeamConfig
+from foreglow.config import BeamConfig, config_to_toml
 from foreglow.datasets import shipped_drive
 from foreglow.photometry.headlamps import SHIPPED
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, without_digest
@@ -170,6 +170,19 @@ def test_the_files_policy_counts_where_none_is_given(tmp_path: Path, run: Path) 
     (tmp_path / "own.toml").write_text("[beam]\npolicy = 'paper'\n")
     beam(run, "--out", tmp_path / "out", "--config", tmp_path / "own.toml", "--limit", 2)
     assert read_config(tmp_path / "out" / "config.toml").beam.policy == "paper"
+
+
+def test_a_run_does_not_choose_which_code_runs(tmp_path: Path, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results come from others, too: what their configuration names is not imported."""
+    theirs = shutil.copytree(run, tmp_path / "theirs")
+    config = read_config(theirs / "config.toml").commanding(policy="their_module:Policy")
+    (theirs / "config.toml").write_text(config_to_toml(config))
+    (tmp_path / "their_module.py").write_text("open('imported', 'w').close()\n")
+    monkeypatch.chdir(tmp_path)
+    said = complaint("beam", theirs, "--out", tmp_path / "out")
+    assert "theirs/config.toml: beam.policy: expected one of Foreglow's" in said
+    assert not (tmp_path / "imported").exists()
+    assert "their_module" in complaint("beam", theirs, "--out", tmp_path / "out", "--policy", "their_module:Policy")
 
 
 @pytest.mark.slow

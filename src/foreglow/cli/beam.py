@@ -55,7 +55,11 @@ def beam(
     from foreglow.runs.summary_file import read_summary
 
     is_run = (source / "frames.jsonl").is_file()
-    configuration = lamps.commanding(_configuration_of_run(source, pipeline) if is_run else pipeline.configuration())
+    if is_run:
+        configuration = lamps.commanding(_configuration_of_run(source, pipeline))
+        _check_policy(source, configuration.beam.policy, lamps, pipeline)
+    else:
+        configuration = lamps.commanding(pipeline.configuration())
     headlamps = read_headlamps(configuration.beam.headlamps)
     _check_can(can, headlamps, is_compact=compact)
     stepper: Stepper
@@ -104,6 +108,18 @@ def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig
             words = f"expected that of {run}, or none: its tracks are taken as they are"
             raise ValueError(f"{options.config}: {section}: {words}")
     return changed
+
+
+def _check_policy(run: Path, policy: str, lamps: BeamOptions, options: PipelineOptions) -> None:
+    """ValueError for a policy that only the run names, which may be somebody else's, and whose code would run."""
+    from foreglow.config import read_config
+
+    own = {lamps.policy} if options.config is None else {lamps.policy, read_config(options.config).beam.policy}
+    if ":" in policy and policy not in own:
+        raise ValueError(
+            f"{run / 'config.toml'}: beam.policy: expected one of Foreglow's, as results choose no code that runs, "
+            f"got {policy!r}; if you trust it: --policy {policy}"
+        )
 
 
 def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
