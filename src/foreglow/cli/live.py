@@ -79,7 +79,7 @@ def live(
 ) -> None:
     """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
     from foreglow.runtime.live import ClosedLoop
-    from foreglow.runtime.live.cameras import CameraOptions
+    from foreglow.runtime.live.cameras import CameraOptions, without_password
     from foreglow.runtime.live.opening import open_live, options_of
 
     given = {
@@ -114,7 +114,7 @@ def live(
             outputs.append(lamp_bus(can, configuration))
 
         def make_sinks() -> Iterator[LiveSink]:
-            yield from recording_sinks(record, Path(source), configuration)
+            yield from recording_sinks(record, without_password(source), configuration)
             yield from viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
 
         summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)

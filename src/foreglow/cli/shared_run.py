@@ -167,7 +167,7 @@ def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:
     return ProgressSink(frames.num_frames if limit is None else min(limit, frames.num_frames or limit))
 
 
-def recording_sinks(record: Path | None, source: Path, configuration: PipelineConfig) -> list[LiveSink]:
+def recording_sinks(record: Path | None, source: Path | str, configuration: PipelineConfig) -> list[LiveSink]:
     """The sink that records a run on `source` to the file `record`; none without a file."""
     if record is None:
         return []

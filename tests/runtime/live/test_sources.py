@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from av.error import FFmpegError
 
 from benchmarks.faulty import live_config
 from benchmarks.image_faults import CODINGS, encoded
@@ -162,6 +163,24 @@ def test_camera_that_is_not_there() -> None:
         open_live("gstreamer: ", CameraOptions())
 
 
+@pytest.mark.parametrize("address", ["rtsp://driver:a%2Fb:c@camera.local:554/x", "http://driver:secret@[::1]:8080/a@b"])
+def test_a_password_is_in_no_name(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+    """It would stand in messages, results and recordings."""
+    asked: list[str] = []
+
+    def no_stream(address: str, **_: object) -> None:
+        asked.append(address)
+        raise FFmpegError(5, "no such stream")
+
+    monkeypatch.setattr("foreglow.runtime.live.cameras.av.open", no_stream)
+    camera = open_live(address, CameraOptions())
+    assert "driver:***@" in camera.name
+    with pytest.raises(OSError, match=r"driver:\*\*\*@.*: cannot be opened") as error:
+        next(iter(camera))
+    assert "secret" not in str(error.value)
+    assert asked == [address]
+
+
 def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:
     next(iter(open_live("camera:/dev/video2", CameraOptions())))
     next(iter(open_live("gstreamer:videotestsrc ! appsink", CameraOptions())))
@@ -203,7 +222,7 @@ def test_an_address_at_which_no_stream_can_ever_be(address: str, said: str) -> N
     "address", ["udp://:5000", "udp://@239.0.0.1:5000", "rtsp://me:secret@camera/1?profile=2", "RTSP://[::1]:554/x"]
 )
 def test_an_address_at_which_a_stream_may_come_to_be(address: str) -> None:
-    assert open_live(address, CameraOptions()).name == address
+    assert open_live(address, CameraOptions()).name == address.replace("secret", "***")
 
 
 def test_only_cameras_and_streams_are_cameras() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -162,26 +163,43 @@ def open_stream(address: str, options: CameraOptions) -> StreamCamera:
     Raises:
         ValueError: If no stream can ever be there: for its scheme, host or port.
     """
-    scheme = address.partition("://")[0]
+    scheme, shown = address.partition("://")[0], without_password(address)
     if scheme.lower() not in STREAM_SCHEMES:
-        raise ValueError(f"{address}: expected an address with one of {', '.join(STREAM_SCHEMES)}, or a path")
+        raise ValueError(f"{shown}: expected an address with one of {', '.join(STREAM_SCHEMES)}, or a path")
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise ValueError(f"{address}: expected an address such as {scheme}://HOST:PORT: {error}") from None
+        raise ValueError(f"{shown}: expected an address such as {scheme}://HOST:PORT: {error}") from None
     if host is None and port is None:  # udp://:5000 listens
-        raise ValueError(f"{address}: expected an address such as {scheme}://HOST:PORT, got no host")
+        raise ValueError(f"{shown}: expected an address such as {scheme}://HOST:PORT, got no host")
     return StreamCamera(address, options)
 
 
+def without_password(address: str) -> str:
+    """An address as it may be shown and kept: who reads results need not get into the camera.
+
+    >>> without_password("rtsp://driver:secret@192.168.0.9:554/night")
+    'rtsp://driver:***@192.168.0.9:554/night'
+    """
+    return re.sub(r"(://[^/?#@:]*):[^/?#]*@", r"\1:***@", address, count=1)
+
+
 class StreamCamera(LiveCamera):
-    """A network stream, such as RTSP, through FFmpeg; its name is its address, its size and rate are its own."""
+    """A network stream, such as RTSP, through FFmpeg; its size and rate are its own.
+
+    Its name is its address `without_password`.
+    """
+
+    def __init__(self, address: str, options: CameraOptions) -> None:
+        """The stream at `address`, which is not opened yet."""
+        super().__init__(without_password(address), options)
+        self._address = address
 
     def __iter__(self) -> Iterator[Frame]:
         options = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay", **CODEC_OPTIONS}
         try:
-            scheme, colon, rest = self.name.partition(":")  # of which FFmpeg knows no capitals
+            scheme, colon, rest = self._address.partition(":")  # of which FFmpeg knows no capitals
             container: Any = av.open(scheme.lower() + colon + rest, options=options, timeout=(OPEN_S, READ_S))
         except (FFmpegError, ValueError) as error:
             raise OSError(f"{self.name}: cannot be opened: {_reason(error, OPEN_S)}") from error
