@@ -122,6 +122,15 @@ def test_nothing_but_the_noise_changes_in_images_that_come_twice(drive: list[Ima
     assert all(faults[len(good) + 4 :])
 
 
+@pytest.mark.parametrize("bits", [10, 12])
+def test_without_its_white_level_no_image_of_a_camera_of_few_bits_counts(drive: list[Image], bits: int) -> None:
+    top = 2**bits - 1
+    images = [(image * (top / 255)).astype(np.uint16) for image in drive]
+    for image in images:
+        image[100:200, 100:300] = top
+    assert all(GuardFault.BLACK in found for found in faults_of(images))
+
+
 @pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
 @pytest.mark.parametrize("is_moving", [True, None])
 def test_cameras_of_more_bits(drive: list[Image], bits: int, is_moving: bool | None) -> None:

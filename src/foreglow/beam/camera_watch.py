@@ -21,6 +21,9 @@ NUM_SAMPLES = 1200
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
 
+MOST_OF_12_BITS = (1 << 12) - 1
+"""An image of uint16 without brighter pixels may be one of 10 or 12 bits; then it is compared at the wrong scale."""
+
 EVERY_ROW = 17
 """One row of so many is cut into pieces: a prime number, for rows of both half images, or of each third or fourth."""
 
@@ -116,6 +119,7 @@ class CameraWatch:
         pieces = self._pieces.update(rows, top)
         greatest = white or int(np.iinfo(image.dtype).max)
         is_black = brightest <= self._config.min_bright * greatest
+        is_black |= not white and image.dtype == np.uint16 and self._brightest <= MOST_OF_12_BITS
         least = CONTRAST_SHARE * self._config.min_bright
         by_noise = min(NOISE_CONTRAST * pieces.noise, MAX_NOISE_CONTRAST)
         is_black |= not is_saturated and pieces.contrast <= max(least, by_noise)
