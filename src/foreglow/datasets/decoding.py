@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.datasets.forbidden_bytes import has_forbidden_bytes, size_bytes_of
 from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
@@ -82,10 +83,11 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
     key frame counts only if the packet before it was whole, too. A stream without further key frames (intra refresh)
     stays damaged. A packet that cannot be decoded does not end the stream. Damaged are also the pictures before the
     first key frame, of a stream that is joined between two: some decoders take grey for what they have not seen. So is
-    a picture of FFV1 with a wrong checksum, one of MJPEG of which libjpeg or FFmpeg has to guess a part, and those of
-    H.264 after a missing frame; FFmpeg tells of none but in its log. Of H.264 and H.265, None also comes for each
-    picture that the decoder leaves out, with the next key frame. With `losses`, damaged are also the pictures from a
-    packet on in whose part of the file something is lost; as this is known exactly, the next key frame ends it.
+    a picture of FFV1 with a wrong checksum, one of MJPEG of which libjpeg or FFmpeg has to guess a part, one of H.264
+    or H.265 with bytes that may not be there, and those of H.264 after a missing frame; FFmpeg tells of none but in its
+    log. Of the codecs that `Unshown` knows, None also comes for each picture that the decoder leaves out, with the next
+    key frame. With `losses`, damaged are also the pictures from a packet on in whose part of the file something is
+    lost; as this is known exactly, the next key frame ends it.
 
     One thread decodes: where several decode a frame each, FFmpeg gives a picture of H.264 away before it knows what is
     wrong with it, or not, as the threads have it; where they share a frame, it does not say at all.
@@ -106,6 +108,8 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
     numbers = H264Numbers(codec.extradata) if codec.name == "h264" else None
     damaged, broken, key, latest = -math.inf, -math.inf, -math.inf, -1  # numbers of packets
     first_keys: set[int] = set()
+    has_units = codec.name in ("h264", "hevc")
+    size_bytes = size_bytes_of(codec.name, codec.extradata)
     unshown = Unshown(codec.codec.canonical_name, codec.extradata)
     for number, (packet, is_broken) in enumerate(with_losses(_packets(container, stream), losses)):
         packet.opaque = number
@@ -118,6 +122,8 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
         if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
             damaged = number
         if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
+            damaged = number
+        if has_units and packet.size and has_forbidden_bytes(bytes(packet), size_bytes):
             damaged = number
         if codec.name == "mjpeg" and packet.size and is_damaged_mjpeg(bytes(packet), MAX_SIDE_PX**2):
             damaged = number

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 
+from foreglow.datasets.forbidden_bytes import size_bytes_of
+
 
 class Unshown:
     """The packets whose pictures have not come yet, of codecs of which each packet shows one.
@@ -38,10 +40,7 @@ class Unshown:
 
 def _checks(extradata: bytes) -> dict[str, Callable[[bytes], bool]]:
     """By codec, whether a packet has a picture that must be shown."""
-    in_mp4 = extradata[:1] == b"\x01"  # and in Matroska: units have a length before them instead of a start code
-    # Sources: ISO/IEC 14496-15, sections 5.3.3 and 8.3.3.
-    h264_bytes = (extradata[4] & 3) + 1 if in_mp4 and len(extradata) > 8 else 0
-    h265_bytes = (extradata[21] & 3) + 1 if in_mp4 and len(extradata) > 22 else 0
+    h264_bytes, h265_bytes = size_bytes_of("h264", extradata), size_bytes_of("hevc", extradata)
     return {
         "h264": lambda data: _has_picture(data, h264_bytes, _of_h264),
         "hevc": lambda data: _has_picture(data, h265_bytes, _of_h265),
