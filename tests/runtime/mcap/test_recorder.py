@@ -245,6 +245,22 @@ def test_a_bare_result(tmp_path: Path) -> None:
     assert set(messages_in(path)) == TOPICS.keys() - {"/camera/calibration", "/tf", "/health", "/log"}
 
 
+@pytest.mark.parametrize("was_there", [False, True])
+def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path, was_there: bool) -> None:
+    """A drive takes hours; what is there at its end is not what was looked at in the beginning."""
+    path = tmp_path / "night.mcap"
+    if was_there:
+        record(path, [full_frame(0)]).close()
+    recorder = record(path, [full_frame(0), full_frame(1)])
+    path.write_text("notes")
+    with pytest.raises(FileExistsError, match="somebody wrote another file there meanwhile; the recording is in"):
+        recorder.close()
+    recorder.discard()
+    assert path.read_text() == "notes"
+    path.with_name("night.mcap.partial").rename(tmp_path / "kept.mcap")
+    assert len(list(open_source(tmp_path / "kept.mcap"))) == 2
+
+
 def test_nothing_remains_of_what_is_discarded(tmp_path: Path) -> None:
     recorder = record(tmp_path / "drive.mcap", [full_frame(0)])
     recorder.discard()

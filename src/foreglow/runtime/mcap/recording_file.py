@@ -112,6 +112,14 @@ COMPRESSION_LEVEL = 1
 """zstd's level; many times faster than 18 images of 1280x960 px a second need."""
 
 
+def _identity(path: Path) -> tuple[int, ...] | None:
+    """By what a file is known to be the same, unchanged; None if there is none."""
+    if not path.exists():
+        return None
+    found = path.stat()
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
 class RecordingFile:
     """An MCAP file that is called `FILE.mcap.partial` while it is written; `close` renames it.
 
@@ -141,6 +149,7 @@ class RecordingFile:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         check_replaceable(path)
         self.path, self._partial = path, partial_path(path)
+        self._replaced = _identity(path)
         self._file = GrowingFile(self._partial, path)
         self.context = foxglove.Context()  # kept: its channels live as long as it does
         self._writer = foxglove.open_mcap(
@@ -185,7 +194,8 @@ class RecordingFile:
         """Completes and renames the file; if a write failed before, it stays `.partial`.
 
         Raises:
-            OSError: If the disk is full; the message names the path.
+            OSError: If the disk is full, or somebody has written another file there meanwhile, which stays as it is;
+                the message names the path.
         """
         if not self._is_open:
             return
@@ -193,8 +203,11 @@ class RecordingFile:
         self._finish()
         if not had_failed:
             self._check()
-            self._partial.replace(self.path)
             self._is_complete = True
+            if _identity(self.path) not in (self._replaced, None):
+                words = f"somebody wrote another file there meanwhile; the recording is in {self._partial}"
+                raise FileExistsError(errno.EEXIST, words, str(self.path))
+            self._partial.replace(self.path)
 
     def discard(self) -> None:
         """Deletes what was written, unless it was completed before; also after a `close` that failed."""
