@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.forbidden_bytes import has_forbidden_bytes, size_bytes_of
+from foreglow.datasets.coded_units import has_forbidden_bytes, size_bytes_of
 from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
@@ -119,17 +119,21 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
             first_keys.add(number)
             if packet.is_discard:  # an edit list shows only what comes later
                 key = number
-        if packet.is_corrupt or (checksums is not None and packet.size and checksums.are_wrong(bytes(packet))):
-            damaged = number
-        if numbers is not None and packet.size and numbers.are_broken(bytes(packet)):
-            damaged = number
-        if has_units and packet.size and has_forbidden_bytes(bytes(packet), size_bytes):
-            damaged = number
-        if codec.name == "mjpeg" and packet.size and is_damaged_mjpeg(bytes(packet), MAX_SIDE_PX**2):
+        data = bytes(packet) if packet.size else b""
+        is_wrong = bool(packet.is_corrupt)
+        if checksums is not None and data:
+            is_wrong |= checksums.are_wrong(data)
+        if numbers is not None and data:
+            is_wrong |= numbers.are_broken(data)
+        if has_units and data:
+            is_wrong |= has_forbidden_bytes(data, size_bytes)
+        if codec.name == "mjpeg" and data:
+            is_wrong |= is_damaged_mjpeg(data, MAX_SIDE_PX**2)
+        if is_wrong:
             damaged = number
         # Two fields are one picture.
-        if packet.size and not packet.is_discard and not (numbers is not None and numbers.is_field):
-            unshown.await_picture(number, bytes(packet))
+        if data and not packet.is_discard and not (numbers is not None and numbers.is_field):
+            unshown.await_picture(number, data)
         try:
             pictures = packet.decode()
         except StreamEnd:

@@ -5,8 +5,9 @@ Sections, tables and names are those of ITU-T H.264.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
+
+from foreglow.datasets.coded_units import size_bytes_of, units_of
 
 _SLICE, _IDR_SLICE, _SPS = 1, 5, 7
 """Types of units (table 7-1): a slice, one of a picture that refers to none before it, and the parameters."""
@@ -14,7 +15,6 @@ _SLICE, _IDR_SLICE, _SPS = 1, 5, 7
 _CHROMA_PROFILES = frozenset((100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135))
 """Profiles whose parameters have the format of the chroma (7.3.2.1.1)."""
 
-_START = b"\0\0\1"
 _HEAD_BYTES, _PARAMETER_BYTES = 32, 1024
 """So much of a slice and of parameters is looked at: what matters is among their first values."""
 
@@ -43,13 +43,12 @@ class H264Numbers:
 
     def __init__(self, extradata: bytes | None) -> None:
         """Begins with the parameters that a container keeps apart; None or empty where they are in the stream."""
-        self._length_bytes = 0  # before each unit, in place of a start code
+        self._size_bytes = size_bytes_of("h264", extradata)
         self._numbering: _Numbering | None = None
         self._latest: int | None = None
         self.is_field = False
         extradata = extradata or b""
-        if extradata[:1] == b"\x01" and len(extradata) > 8:
-            self._length_bytes = (extradata[4] & 3) + 1
+        if self._size_bytes:
             size = int.from_bytes(extradata[6:8], "big")
             self._take_parameters(extradata[8 : 8 + size])
         else:
@@ -61,28 +60,13 @@ class H264Numbers:
 
     def _take(self, data: bytes) -> bool:
         self.is_field = False
-        for unit in self._units(data):
+        for unit in units_of(data, self._size_bytes):
             kind = unit[0] & 31 if unit else 0
             if kind == _SPS:
                 self._take_parameters(unit)
             elif kind in (_SLICE, _IDR_SLICE):
                 return self._is_after_gap(unit[:_HEAD_BYTES], is_first=kind == _IDR_SLICE)
         return False
-
-    def _units(self, data: bytes) -> Iterator[bytes]:
-        """The units of a packet, one after another."""
-        if self._length_bytes:
-            start = 0
-            while start + self._length_bytes < len(data):
-                begin = start + self._length_bytes
-                start = begin + int.from_bytes(data[start:begin], "big")
-                yield data[begin:start]
-            return
-        begin = data.find(_START)
-        while begin >= 0:
-            end = data.find(_START, begin + 3)
-            yield data[begin + 3 : end if end >= 0 else len(data)]
-            begin = end
 
     def _take_parameters(self, unit: bytes) -> None:
         try:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
-from foreglow.datasets.forbidden_bytes import size_bytes_of
+from foreglow.datasets.coded_units import size_bytes_of, units_of
 
 
 class Unshown:
@@ -63,7 +62,7 @@ def _never(_: bytes) -> bool:
 
 def _has_picture(data: bytes, size_bytes: int, must_be_shown: Callable[[int], bool | None]) -> bool:
     """By the first unit of a picture; where units have sizes, each packet is one, even if nothing is recognised."""
-    told = (must_be_shown(head) for head in _heads(data, size_bytes))
+    told = (must_be_shown(unit[0]) for unit in units_of(data, size_bytes) if unit)
     return next((must for must in told if must is not None), bool(size_bytes))
 
 
@@ -76,16 +75,3 @@ def _of_h265(head: int) -> bool | None:
     """The same, of H.265, table 7-1; RASL (8, 9) cannot be decoded where a stream begins behind them."""
     kind = head >> 1 & 0x3F
     return kind not in (8, 9) if kind < 32 else None
-
-
-def _heads(data: bytes, size_bytes: int) -> Iterator[int]:
-    """The first bytes of the packet's units, which have their size in so many bytes before them; 0: start codes."""
-    if not size_bytes:
-        for match in re.finditer(rb"\x00\x00\x01(.)", data, re.DOTALL):
-            yield match[1][0]
-        return
-    position = 0
-    while position + size_bytes < len(data):
-        start = position + size_bytes
-        yield data[start]
-        position = start + int.from_bytes(data[position:start], "big")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.forbidden_bytes import has_forbidden_bytes
+from foreglow.datasets.coded_units import has_forbidden_bytes
 from tests.datasets.test_video_damage import GOP, packets_of, write_h264
 
 
