@@ -155,9 +155,11 @@ def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Fram
     killed, killed_ns = len(commands), time.time_ns()
     if victim != "beam":  # there it is the lamps' own timeout that ends the light
         yield from until(lacks_input)
-        low = next(filter(lacks_input, commands[killed:]))
+        index = next(index for index in range(killed, len(commands)) if lacks_input(commands[index]))
+        low, before = commands[index], commands[index - 1]
         assert low.beam.mode == BeamMode.LOW
-        assert low.received_ns - killed_ns < 1e9  # how soon is the benchmark's to say
+        # After the last image that was on its way, late on a busy machine. How soon is the benchmark's to say.
+        assert low.received_ns - max(before.received_ns, killed_ns) < 1e9
     yield from itertools.islice(endless, 9)  # what was on its way when the process died
     yield from until(is_lit)
     assert network.processes[victim].popen.pid != process.pid
