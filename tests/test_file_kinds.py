@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foreglow import own_files
+from foreglow import outputs, own_files
 from foreglow.datasets import shipped_drive
 from foreglow.models import BUNDLED, model_path
 from foreglow.own_files import FileKind
 from foreglow.runs.predictions import Predictions, write_predictions
 from foreglow.runs.recorded_run import read_run
+from foreglow.whole_files import replaces_only
 from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import make_pvdn
 
@@ -161,3 +162,33 @@ def test_the_calibration_of_a_run(home: Path) -> None:
     run = ("run", IMAGE.parent, "--out", home / "run", "--calibration", "auto", "--fov", 50)
     assert "camera.toml: expected nothing there but an unchanged calibration" in complaint(*run)
     assert path.read_text() == "mine"
+
+
+def test_a_file_that_somebody_writes_meanwhile_stays(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command may take an hour; what is there at its end is not what was looked at in the beginning."""
+
+    def found(path: Path) -> None:
+        replaces_only(path)
+        path.write_text("notes")
+
+    monkeypatch.setattr(outputs, "replaces_only", found)
+    scored = ("evaluate", home / "data" / "night" / "val", "--predictions", home / "run" / "frames.jsonl")
+    for words, name in (
+        ((*scored, "--json"), "quality.json"),
+        (("annotate", home / "data" / "night" / "val", "--json"), "numbers.json"),
+        (("labels", "export", home / "data" / "night" / "val", "--format", "coco", "--out"), "labels.json"),
+        (("stages", IMAGE, "--out"), "stages.png"),
+        (("calibrate", "convert", CAMERA, *MOUNT, "--out"), "camera.toml"),
+    ):
+        path = tmp_path / name
+        kept = path.with_name(f"{name}.partial")
+        said = foreglow_command(*words, path)
+        assert said.exit_code == 2, (name, said.output)
+        assert f"{path}: somebody wrote another file there meanwhile; the new one is in {kept}" in said.stderr
+        assert path.read_text() == "notes", name
+        path.unlink()
+        kept.rename(path)
+        kinds = [kind for kind in KINDS.values() if path.suffix in kind.suffixes]
+        assert any(kind.may_replace(path) for kind in kinds), name

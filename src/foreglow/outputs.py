@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.own_files import FileKind, is_own
-from foreglow.whole_files import PARTIAL, partial_path
+from foreglow.whole_files import PARTIAL, partial_path, replaces_only
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -225,7 +225,8 @@ def _check_place(name: str, path: Path) -> None:
 def check_kinds(files: Mapping[str, Path], kinds: Mapping[str, FileKind]) -> None:
     """Checks that each file is of the kind that is written, by the end of its name and by what is there.
 
-    So nothing is overwritten that a user or another command made, wherever it lies, and `-` is no name of a file.
+    So nothing is overwritten that a user or another command made, wherever it lies, also while the command runs, and
+    `-` is no name of a file.
 
     Args:
         files: By option, files to write.
@@ -243,6 +244,7 @@ def check_kinds(files: Mapping[str, Path], kinds: Mapping[str, FileKind]) -> Non
                 f"{name} {path}: expected nothing there but {kind.words} that Foreglow wrote; choose another name, or "
                 "remove it"
             )
+        replaces_only(path)
 
 
 def check_unnamed_outputs(files: Mapping[str, Path], folders: Mapping[str, Path]) -> None:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeAlias
 
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
@@ -27,6 +27,12 @@ MAX_LOCKS = 256
 
 _CLEARED: set[Path] = set()
 """Folders that this process has cleared of what killed processes left."""
+
+Identity: TypeAlias = tuple[int, ...] | None
+"""By what a file is known to be the same, unchanged; None where there is none."""
+
+_FOUND: dict[Path, Identity] = {}
+"""What was at each path that may be replaced, when that was found, until it is replaced."""
 
 
 class RemadeWarning(UserWarning):
@@ -105,7 +111,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 if block is not None:
                     block.add(path, temporary, held)
             if block is None:
-                temporary.replace(whole)
+                _put(temporary, path, whole)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -135,6 +141,47 @@ def together() -> Iterator[None]:
     finally:
         _BLOCK.reset(token)
         block.release()
+
+
+def identity(path: Path) -> Identity:
+    """By what the file at `path` is known to be the same, unchanged; None if there is none."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def replaces_only(path: Path) -> None:
+    """Remembers what is at `path` now: if another file is there when one is to replace it, that one stays."""
+    _FOUND[path.absolute()] = identity(path)
+
+
+def check_unchanged(path: Path, found: Identity, kept: Path) -> None:
+    """Checks that nobody has written to `path` since.
+
+    Args:
+        path: Where a file is to be.
+        found: What was there before.
+        kept: Where the new file is.
+
+    Raises:
+        FileExistsError: If another file is there.
+    """
+    if identity(path) not in (found, None):
+        words = f"somebody wrote another file there meanwhile; the new one is in {kept}"
+        raise FileExistsError(errno.EEXIST, words, str(path))
+
+
+def _put(temporary: Path, path: Path, whole: Path) -> None:
+    """Gives a finished file the name `path`, whose absolute one is `whole`."""
+    if whole in _FOUND:
+        try:
+            check_unchanged(path, _FOUND.pop(whole), partial_path(path))
+        except FileExistsError:
+            temporary.replace(partial_path(whole))
+            raise
+    temporary.replace(whole)
 
 
 def make_folder(path: Path) -> None:
@@ -168,7 +215,7 @@ class _Block:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         for path, temporary in self._temporaries.items():
             with naming(path, in_place_of=temporary):
-                temporary.replace(temporary.with_name(path.name))
+                _put(temporary, path, temporary.with_name(path.name))
 
     def discard(self) -> None:
         for temporary in self._temporaries.values():

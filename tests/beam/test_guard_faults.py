@@ -287,6 +287,16 @@ def test_command_of_another_frame() -> None:
     assert_low(running().check(full(frame_at(24), NUM_LEDS), NOBODY, frame), GuardFault.STALE_COMMAND)
 
 
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_a_fault_of_the_policy(level: float) -> None:
+    """A policy may know of one that nobody else sees, and still give levels with it."""
+    frame = frame_at(25)
+    guard = running()
+    wanted = dataclasses.replace(full(frame, NUM_LEDS, level), faults=("map_lost",))
+    assert_low(guard.check(wanted, NOBODY, frame, pipeline_faults=("x",)), "x", "map_lost")
+    np.testing.assert_allclose(next_check(guard, frame_at(26)).levels, FRAME_NS / 1e9)
+
+
 def test_several_faults_have_all_their_names() -> None:
     frame = frame_at(25, image=np.zeros((960, 1280), np.uint8), speed_mps=1.0, with_camera=False)
     command = next_check(running(), frame, None, time_ns=30 * 10**9, pipeline_faults=("x",))

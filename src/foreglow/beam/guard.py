@@ -79,7 +79,7 @@ class Guard:
         Python has it. No value raises: what a guard must not trust is a fault, and means low beam.
 
         Args:
-            wanted: The policy's command for the frame.
+            wanted: The policy's command for the frame; a fault in it means low beam.
             tracks: The frame's tracks; None is a fault.
             frame: The frame; its image, time, camera and motion are checked.
             time_ns: The time now, by the frames' clock; None offline, where no time passes.
@@ -96,9 +96,9 @@ class Guard:
         faults += self._motion_faults(frame)
         faults += self._track_faults(tracks, is_vehicle, elapsed_s)
         faults += self._command_faults(wanted, frame)
-        if faults or pipeline_faults or wanted.mode == BeamMode.LOW or tracks is None or frame.camera is None:
+        names = (*pipeline_faults, *wanted.faults, *(str(fault) for fault in faults))
+        if names or wanted.mode == BeamMode.LOW or tracks is None or frame.camera is None:
             self._levels = np.zeros_like(self._levels)
-            names = (*pipeline_faults, *(str(fault) for fault in faults))
             return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds, *names)
         levels = np.minimum(wanted.levels, self._levels + elapsed_s / self._config.brightening_s)  # (1)
         gaps_rad, gap_ranges_m = wanted.gaps_rad, wanted.gap_ranges_m

@@ -220,9 +220,16 @@ def test_a_speed_beyond_the_range_of_the_dbc_counts_as_not_sent(tmp_path: Path) 
         ("[0|300]", 30000, True),
         ("[0|300]", 30001, False),
         ("[0|0]", 50000, True),
-        ("[300|0]", 50000, True),
     ):
         assert (speed_of(decoder_of(tmp_path, with_pace(pair, "km/h")), code) is not None) == is_known, (pair, code)
+
+
+@pytest.mark.parametrize("pair", ["[300|0]", "[300|300]", "[-1|-1]"])
+def test_a_range_without_values_is_refused(tmp_path: Path, pair: str) -> None:
+    with pytest.raises(
+        ValueError, match=r"car\.dbc: Dynamics: Pace: expected a range that rises"
+    ):
+        decoder_of(tmp_path, with_pace(pair, "km/h"))
 
 
 def with_pace(pair: str, unit: str) -> str:

@@ -253,7 +253,7 @@ def test_a_file_that_somebody_writes_meanwhile_stays(tmp_path: Path, was_there: 
         record(path, [full_frame(0)]).close()
     recorder = record(path, [full_frame(0), full_frame(1)])
     path.write_text("notes")
-    with pytest.raises(FileExistsError, match="somebody wrote another file there meanwhile; the recording is in"):
+    with pytest.raises(FileExistsError, match="somebody wrote another file there meanwhile; the new one is in"):
         recorder.close()
     recorder.discard()
     assert path.read_text() == "notes"

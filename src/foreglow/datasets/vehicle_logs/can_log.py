@@ -138,7 +138,7 @@ class CanLog:
                 latest.forget(time_ns - round(self._keep_ns))
 
 
-def read_can_log(path: Path | str, dbc: Path | None = None, mapping: Path | None = None) -> CanLog:
+def read_can_log(path: Path | str, dbc: Path | str | None = None, mapping: Path | str | None = None) -> CanLog:
     """The CAN log in the file `path`: Vector's .asc or .blf, or candump's .log.
 
     The times of .asc count from its start. Frames that the mapping does not name are ignored, and so are multiplexed
@@ -241,7 +241,9 @@ class CanDecoder:
         log: The log of the frames so far.
     """
 
-    def __init__(self, dbc: Path | None = None, mapping: Path | None = None, *, keep_s: float = math.inf) -> None:
+    def __init__(
+        self, dbc: Path | str | None = None, mapping: Path | str | None = None, *, keep_s: float = math.inf
+    ) -> None:
         """Reads both files; None for our own.
 
         Args:
@@ -257,7 +259,7 @@ class CanDecoder:
         """
         if (dbc is None) != (mapping is None):
             raise ValueError(f"{dbc or mapping}: expected a DBC and a mapping together, got one of them")
-        dbc, mapping = dbc or OWN_DBC, mapping or OWN_MAPPING
+        dbc, mapping = Path(dbc or OWN_DBC), Path(mapping or OWN_MAPPING)
         self.log = CanLog(keep_s)
         messages = read_dbc(dbc)
         self._mapping = read_mapping(mapping)
@@ -340,10 +342,13 @@ class CanDecoder:
 
 
 def _check_signal(signal: Signal, origin: str) -> None:
-    """ValueError if a signal's scale makes every value the same, or none."""
+    """ValueError if a signal's scale makes every value the same, or none, or no value is within its range."""
     if not (math.isfinite(signal.scale) and math.isfinite(signal.offset) and signal.scale):
         expected = "expected a finite scale other than 0, and a finite offset"
         raise ValueError(f"{origin}: {expected}, got ({signal.scale:g},{signal.offset:g})")
+    least, most = signal.minimum, signal.maximum
+    if least is not None and most is not None and not (least < most or least == most == 0):
+        raise ValueError(f"{origin}: expected a range that rises, or [0|0] for none, got [{least:g}|{most:g}]")
 
 
 def _check_lengths(message: Message, origin: str) -> None:

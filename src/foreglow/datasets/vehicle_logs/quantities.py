@@ -95,7 +95,7 @@ def factor_of(quantity: str, signal: Signal, given: float | None, names: tuple[s
 def is_in_range(signal: Signal, value: float) -> bool:
     """Whether a scaled value is one that the DBC allows, to half a step; a DBC without a range allows all."""
     least, most = signal.minimum, signal.maximum
-    if least is None or most is None or least >= most:
+    if least is None or most is None or least == most:
         return True
     slack = abs(float(signal.scale)) / 2
     return float(least) - slack <= value <= float(most) + slack

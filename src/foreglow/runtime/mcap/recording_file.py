@@ -19,7 +19,7 @@ from foreglow.files import path_in_unicode
 from foreglow.folder_lock import lock
 from foreglow.outputs import check_replaceable
 from foreglow.runs.origin import full_name
-from foreglow.whole_files import partial_path
+from foreglow.whole_files import check_unchanged, identity, partial_path
 
 
 class GrowingFile:
@@ -112,14 +112,6 @@ COMPRESSION_LEVEL = 1
 """zstd's level; many times faster than 18 images of 1280x960 px a second need."""
 
 
-def _identity(path: Path) -> tuple[int, ...] | None:
-    """By what a file is known to be the same, unchanged; None if there is none."""
-    if not path.exists():
-        return None
-    found = path.stat()
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
-
-
 class RecordingFile:
     """An MCAP file that is called `FILE.mcap.partial` while it is written; `close` renames it.
 
@@ -149,7 +141,7 @@ class RecordingFile:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         check_replaceable(path)
         self.path, self._partial = path, partial_path(path)
-        self._replaced = _identity(path)
+        self._replaced = identity(path)
         self._file = GrowingFile(self._partial, path)
         self.context = foxglove.Context()  # kept: its channels live as long as it does
         self._writer = foxglove.open_mcap(
@@ -204,9 +196,7 @@ class RecordingFile:
         if not had_failed:
             self._check()
             self._is_complete = True
-            if _identity(self.path) not in (self._replaced, None):
-                words = f"somebody wrote another file there meanwhile; the recording is in {self._partial}"
-                raise FileExistsError(errno.EEXIST, words, str(self.path))
+            check_unchanged(self.path, self._replaced, self._partial)
             self._partial.replace(self.path)
 
     def discard(self) -> None:
