@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.datasets.test_video import make_video
+from tests.datasets.video.test_video_file import make_video
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")

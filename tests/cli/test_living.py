@@ -25,7 +25,7 @@ from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.forked import Loaded
 from tests.datasets.bags.bags import images, make_mcap
-from tests.datasets.test_video import make_video
+from tests.datasets.video.test_video_file import make_video
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from foreglow.runs.summary_file import lack_of_run, read_summary
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.bags.bags import images, make_mcap
-from tests.datasets.test_video import make_video
+from tests.datasets.video.test_video_file import make_video
 from tests.shared_data import shared_file
 
 

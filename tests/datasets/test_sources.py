@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from foreglow.datasets import PVDN, FrameSource, ImageFolder, Video, download_pvdn, open_labelled, open_source
 from foreglow.datasets.image_folder import natural_key
-from tests.datasets.test_video import make_video
 from tests.datasets.tiny_pvdn import make_pvdn
+from tests.datasets.video.test_video_file import make_video
 
 
 def _image(seed: int) -> np.ndarray[Any, np.dtype[np.uint8]]:

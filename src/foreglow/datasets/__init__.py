@@ -1,8 +1,9 @@
 """Where frames come from: images, videos, recordings of ROS and our own, PVDN, and simulated drives.
 
-Every source is a `FrameSource`, and `open_source` chooses it by path (`formats`). `bags` reads recordings, ROS bags and
-MCAP files, which `foreglow.runtime.mcap` records; `pvdn` and `simulated` read and write data sets with labels, which
-`foreglow.lab.simulation.writing` fills; `vehicle_logs` reads what a car knew beside its images.
+Every source is a `FrameSource`, and `open_source` chooses it by path (`formats`). `video` reads videos, and finds what
+is damaged in them; `bags` reads recordings, ROS bags and MCAP files, which `foreglow.runtime.mcap` records; `pvdn` and
+`simulated` read and write data sets with labels, which `foreglow.lab.simulation.writing` fills; `vehicle_logs` reads
+what a car knew beside its images.
 """
 
 from foreglow.datasets.bags import Recording

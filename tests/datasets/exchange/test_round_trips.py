@@ -31,8 +31,8 @@ from foreglow.datasets.pvdn import is_pvdn
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.folder_lock import FolderLock
 from foreglow.types import Proposals
-from tests.datasets.test_video import make_video
 from tests.datasets.tiny_pvdn import edit, labelled_vehicle, make_pvdn
+from tests.datasets.video.test_video_file import make_video
 
 CATEGORIES_ARE_KEPT = {"cvat", "label-studio"}
 

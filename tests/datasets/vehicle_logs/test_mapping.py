@@ -226,9 +226,7 @@ def test_a_speed_beyond_the_range_of_the_dbc_counts_as_not_sent(tmp_path: Path) 
 
 @pytest.mark.parametrize("pair", ["[300|0]", "[300|300]", "[-1|-1]"])
 def test_a_range_without_values_is_refused(tmp_path: Path, pair: str) -> None:
-    with pytest.raises(
-        ValueError, match=r"car\.dbc: Dynamics: Pace: expected a range that rises"
-    ):
+    with pytest.raises(ValueError, match=r"car\.dbc: Dynamics: Pace: expected a range that rises"):
         decoder_of(tmp_path, with_pace(pair, "km/h"))
 
 

@@ -21,7 +21,7 @@ from foreglow.runtime.live import cameras
 from foreglow.runtime.live.cameras import CameraOptions, StreamCamera
 from foreglow.runtime.live.opening import open_live
 from foreglow.types import Frame
-from tests.datasets.test_video import make_shown
+from tests.datasets.video.test_video_file import make_shown
 from tests.runtime.live.test_sources import damaged_clip
 from tests.stand_ins import night_image
 

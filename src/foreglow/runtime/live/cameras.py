@@ -16,9 +16,9 @@ import cv2
 from av.error import ExitError, FFmpegError
 
 from foreglow.datasets import VehicleData, to_grey
-from foreglow.datasets.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
 from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chroma
 from foreglow.datasets.vehicle_data import equip
+from foreglow.datasets.video.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
 from foreglow.types import Frame, Image
 
 OPEN_S, READ_S = 5.0, 1.0

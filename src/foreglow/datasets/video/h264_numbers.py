@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from foreglow.datasets.coded_units import size_bytes_of, units_of
+from foreglow.datasets.video.coded_units import size_bytes_of, units_of
 
 _SLICE, _IDR_SLICE, _SPS = 1, 5, 7
 """Types of units (table 7-1): a slice, one of a picture that refers to none before it, and the parameters."""

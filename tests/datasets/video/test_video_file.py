@@ -14,8 +14,8 @@ import pytest
 from av.stream import Disposition
 
 from foreglow.datasets import Video
-from foreglow.datasets.decoding import decoded
 from foreglow.datasets.images import read_image
+from foreglow.datasets.video.decoding import decoded
 from tests.datasets.test_images import with_orientation
 from tests.shared_data import shared_file
 
@@ -376,5 +376,5 @@ def test_frames_without_a_time_follow_at_the_rate(tmp_path: Path, monkeypatch: p
                 picture.pts = None
             yield picture, is_damaged
 
-    monkeypatch.setattr("foreglow.datasets.video.decoded", untimed)
+    monkeypatch.setattr("foreglow.datasets.video.video_file.decoded", untimed)
     assert [frame.timestamp_ns for frame in Video(path)] == [40_000_000 * index for index in range(NUM_FRAMES)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from foreglow.datasets.coded_units import size_bytes_of, units_of
+from foreglow.datasets.video.coded_units import size_bytes_of, units_of
 
 
 class Unshown:

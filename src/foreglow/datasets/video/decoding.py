@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.coded_units import has_forbidden_bytes, size_bytes_of
-from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
-from foreglow.datasets.transport import Losses, with_losses
-from foreglow.datasets.unshown import Unshown
+from foreglow.datasets.video.coded_units import has_forbidden_bytes, size_bytes_of
+from foreglow.datasets.video.containers.transport import Losses, with_losses
+from foreglow.datasets.video.h264_numbers import H264Numbers
+from foreglow.datasets.video.unshown import Unshown
 from foreglow.types import Image
 from foreglow.types.frame import COLOURLESS
 

@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from foreglow.datasets.program_stream import PACK, walk
+from foreglow.datasets.video.containers.program_stream import PACK, walk
 
 PACK_1 = PACK + b"\x21\0\1\0\1\x80\0\1"
 PACK_2 = PACK + b"\x44\0\4\0\4\1\0\0\3\xf8"

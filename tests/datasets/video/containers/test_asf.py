@@ -6,7 +6,7 @@ import io
 
 import pytest
 
-from foreglow.datasets.asf import HEADER, first_damage, objects
+from foreglow.datasets.video.containers.asf import HEADER, first_damage, objects
 
 DATA = bytes.fromhex("3626b2758e66cf11a6d900aa0062ce6c")
 FILE = bytes.fromhex("a1dcab8c47a9cf118ee400c00c205365")

@@ -11,8 +11,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from foreglow.datasets.container_ends import hole, missing_bytes
-from foreglow.datasets.decoding import (
+from foreglow.datasets.images import MAX_SIDE_PX, check_size
+from foreglow.datasets.source import FileSource, OnError
+from foreglow.datasets.video.containers.ends import hole, missing_bytes
+from foreglow.datasets.video.containers.transport import TransportLosses
+from foreglow.datasets.video.decoding import (
     CODEC_OPTIONS,
     FILM_FORMATS,
     decoded,
@@ -21,9 +24,6 @@ from foreglow.datasets.decoding import (
     video_stream,
     video_streams,
 )
-from foreglow.datasets.images import MAX_SIDE_PX, check_size
-from foreglow.datasets.source import FileSource, OnError
-from foreglow.datasets.transport import TransportLosses
 from foreglow.files import check_file
 from foreglow.types import Frame
 
@@ -60,7 +60,7 @@ class Video(FileSource):
     of a raw stream (`RAW_STREAMS`), at the rate that it says itself, else at 25 Hz. Where times begin anew, as in files
     that were appended to each other, so does a sequence, which is named after its first frame.
     A cut file is an error, and so is one with damage between its parts, so that frames may be missing and those behind
-    have too small numbers, one with a second film behind the first (see `container_ends`), and a Matroska file that
+    have too small numbers, one with a second film behind the first (see `containers.ends`), and a Matroska file that
     ends before its stated time. So are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
     `mark` they are marked.
 

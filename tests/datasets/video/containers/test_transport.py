@@ -9,9 +9,10 @@ import av
 import numpy as np
 import pytest
 
-from foreglow.datasets import Video, transport
-from foreglow.datasets.transport import PACKETS, TransportLosses
-from tests.datasets.test_video_damage import GOP, make_noise, make_stream, packets_of
+from foreglow.datasets import Video
+from foreglow.datasets.video.containers import transport
+from foreglow.datasets.video.containers.transport import PACKETS, TransportLosses
+from tests.datasets.video.test_damage import GOP, make_noise, make_stream, packets_of
 
 PID = 0x100
 EVERYTHING = 1 << 62

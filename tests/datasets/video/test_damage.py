@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.h264_numbers import H264Numbers
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
 from foreglow.datasets.source import OnError
-from tests.datasets.test_video import NUM_FRAMES, make_video
+from foreglow.datasets.video.h264_numbers import H264Numbers
+from tests.datasets.video.test_video_file import NUM_FRAMES, make_video
 
 GOP = 12
 

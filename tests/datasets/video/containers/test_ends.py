@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.container_ends import hole, missing_bytes
-from tests.datasets.test_video import NUM_FRAMES
+from foreglow.datasets.video.containers.ends import hole, missing_bytes
+from tests.datasets.video.test_video_file import NUM_FRAMES
 from tests.shared_data import shared_file
 
 MEDIA = {

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.ogg import CAPTURE, checksum
-from tests.datasets.test_video_damage import make_noise, make_stream
+from foreglow.datasets.video.containers.ogg import CAPTURE, checksum
+from tests.datasets.video.test_damage import make_noise, make_stream
 
 
 @pytest.fixture(scope="module")

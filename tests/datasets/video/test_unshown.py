@@ -9,11 +9,11 @@ import av
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.decoding import grey_image
-from foreglow.datasets.h264_numbers import H264Numbers
-from foreglow.datasets.unshown import Unshown
+from foreglow.datasets.video.decoding import grey_image
+from foreglow.datasets.video.h264_numbers import H264Numbers
+from foreglow.datasets.video.unshown import Unshown
 from foreglow.types import Image
-from tests.datasets.test_video_damage import GOP, make_noise, make_stream, packets_of, write_h264
+from tests.datasets.video.test_damage import GOP, make_noise, make_stream, packets_of, write_h264
 
 H264 = [
     ("night.h264", "bframes=0"),
@@ -125,7 +125,7 @@ def test_one_frame_that_would_be_shown_at_an_angle_is_left_out(tmp_path: Path, m
             raise ValueError("display matrix: expected quarter turns and mirroring")
         return grey_image(picture)
 
-    monkeypatch.setattr("foreglow.datasets.video.grey_image", upright)
+    monkeypatch.setattr("foreglow.datasets.video.video_file.grey_image", upright)
     video = Video(path, on_error="skip")
     assert [frame.frame for frame in video] == [*range(5), *range(6, 40)]
     assert video.skipped == [f"{path}: frame 5: display matrix: expected quarter turns and mirroring"]

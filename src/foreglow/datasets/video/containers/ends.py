@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from foreglow.datasets import asf, matroska, ogg, program_stream
 from foreglow.datasets.images import MAX_SIDE_PX
-from foreglow.datasets.transport import PACKETS, SYNC
+from foreglow.datasets.video.containers import asf, matroska, ogg, program_stream
+from foreglow.datasets.video.containers.transport import PACKETS, SYNC
 
 MAX_PARTS = 4_000_000
 """Of a file with more parts, which is two days of 25 frames a second, the rest is not checked."""

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.coded_units import has_forbidden_bytes
-from tests.datasets.test_video_damage import GOP, packets_of, write_h264
+from foreglow.datasets.video.coded_units import has_forbidden_bytes
+from tests.datasets.video.test_damage import GOP, packets_of, write_h264
 
 
 @pytest.mark.parametrize("name", ["night.mp4", "night.mkv", "night.flv", "night.avi", "night.h264"])

@@ -11,8 +11,9 @@ import av
 import numpy as np
 import pytest
 
-from foreglow.datasets import Video, matroska
-from foreglow.datasets.matroska import first_damage
+from foreglow.datasets import Video
+from foreglow.datasets.video.containers import matroska
+from foreglow.datasets.video.containers.matroska import first_damage
 
 NUM_FRAMES = 60
 STEADY = tuple(40 * index for index in range(NUM_FRAMES))
