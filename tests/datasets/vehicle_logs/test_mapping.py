@@ -213,6 +213,15 @@ def test_a_code_whose_name_is_a_number_is_a_value(tmp_path: Path, name: str) -> 
     assert speed_of(decoder, 10000) == pytest.approx(100 / 3.6)
 
 
+@pytest.mark.parametrize("code", [65535, -1])
+def test_a_code_of_a_signed_signal_may_be_written_without_its_sign(tmp_path: Path, code: int) -> None:
+    dbc = DBC.replace("Pace : 0|16@1+ (0.01,0) [0|655]", "Pace : 0|16@1- (0.01,0) [-327|327]")
+    decoder = decoder_of(tmp_path, dbc + f'\nVAL_ 515 Pace {code} "SNA" ;\n')
+    assert speed_of(decoder, 10000) == pytest.approx(100 / 3.6)
+    assert speed_of(decoder_of(tmp_path, dbc), 65535) == pytest.approx(-0.01 / 3.6)
+    assert speed_of(decoder_of(tmp_path, dbc + f'\nVAL_ 515 Pace {code} "SNA" ;\n'), 65535) is None
+
+
 def test_a_speed_beyond_the_range_of_the_dbc_counts_as_not_sent(tmp_path: Path) -> None:
     """All ones, often without a name, are 655 km/h here."""
     for pair, code, is_known in (

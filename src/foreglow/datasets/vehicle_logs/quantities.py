@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -111,12 +111,19 @@ def unknown_codes(message: Message, quantities: Collection[str] = ()) -> dict[st
     codes = {
         signal.name: {
             code
-            for code, name in (signal.choices or {}).items()
-            if _UNKNOWN.search(str(name)) or (signal.name in quantities and not _is_value(signal, code, str(name)))
+            for code, name in _named_codes(signal)
+            if _UNKNOWN.search(name) or (signal.name in quantities and not _is_value(signal, code, name))
         }
         for signal in message.signals
     }
     return {name: found for name, found in codes.items() if found}
+
+
+def _named_codes(signal: Signal) -> Iterator[tuple[int, str]]:
+    """The codes of the value table, as raw values, and their names: tools write those of signed signals either way."""
+    for code, name in (signal.choices or {}).items():
+        is_negative = signal.is_signed and 2 ** (signal.length - 1) <= code < 2**signal.length
+        yield code - 2**signal.length if is_negative else code, str(name)
 
 
 def _is_value(signal: Signal, code: int, name: str) -> bool:
