@@ -115,6 +115,20 @@ def _rows_repeated(images: Sequence[Image], _: Image) -> list[Image]:
     return repeated
 
 
+def _field_stuck(images: Sequence[Image], latest: Image) -> list[Image]:
+    stuck = [image.copy() for image in images]
+    for image in stuck:
+        image[1::2] = latest[1::2]
+    return stuck
+
+
+def _field_black(images: Sequence[Image], _: Image) -> list[Image]:
+    black = [image.copy() for image in images]
+    for image in black:
+        image[1::2] = 0
+    return black
+
+
 FAULTS: dict[str, Callable[[Sequence[Image], Image], list[Image]]] = {
     "frozen": lambda images, latest: [latest] * len(images),
     "black": lambda images, _: [image // 64 for image in images],
@@ -122,6 +136,8 @@ FAULTS: dict[str, Callable[[Sequence[Image], Image], list[Image]]] = {
     "half stuck": _half_stuck,
     "quarter dark": _quarter_filled,
     "rows repeated": _rows_repeated,
+    "every other row stuck": _field_stuck,
+    "every other row black": _field_black,
     "cut JPEG": lambda images, _: [cut_jpeg(image) for image in images],
 }
 """By name, what is seen in place of the given images after a latest good one; all happen before the encoder."""

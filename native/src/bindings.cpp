@@ -21,6 +21,7 @@
 #include "foreglow/crops.hpp"
 #include "foreglow/hypotheses.hpp"
 #include "foreglow/image_change.hpp"
+#include "foreglow/image_stripes.hpp"
 #include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
 
@@ -173,6 +174,16 @@ std::optional<foreglow::ImageChange> compare(foreglow::ImageComparer& comparer, 
     return comparer.compare(view, top, change) ? std::optional(change) : std::nullopt;
 }
 
+std::optional<std::array<foreglow::Alternation, 2>> update_stripes(foreglow::ImageStripes& stripes, const PixelArray& image,
+                                                                   std::uint16_t top) {
+    const foreglow::ImageView view = view_of(image);
+    if (view.width_px < 1 || view.height_px < 1) throw nb::value_error("image: expected at least one pixel");
+    if (top < 1) throw nb::value_error("top: expected at least 1");
+    nb::gil_scoped_release released;
+    std::array<foreglow::Alternation, 2> found{};
+    return stripes.update(view, top, found) ? std::optional(found) : std::nullopt;
+}
+
 foreglow::HypothesisWeigher make_weigher(const nb::dict& fields) {
     const auto read_from = [](const nb::handle& from, const char* name, auto& value) {
         value = nb::cast<std::remove_reference_t<decltype(value)>>(from[name]);
@@ -323,6 +334,12 @@ NB_MODULE(_native, module) {
         .def("keep", &foreglow::ImageComparer::keep,
              "Makes the latest image one that, after two others, says which samples are bright.")
         .def("reset", &foreglow::ImageComparer::reset);
+    nb::class_<foreglow::ImageStripes>(module, "ImageStripes",
+                                       "How much neighbouring rows and columns change in turn; one object a thread.")
+        .def(nb::init<>())
+        .def("update", &update_stripes, "image"_a, "top"_a,
+             "By rows and by columns; None for the first image, and where the size or the type is another.")
+        .def("reset", &foreglow::ImageStripes::reset);
     nb::class_<foreglow::HypothesisWeigher>(module, "HypothesisWeigher",
                                             "Weighs hypotheses of ranges; one object a thread.")
         .def(nb::new_(&make_weigher), "parameters"_a)

@@ -11,6 +11,7 @@ from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage
 from foreglow.beam.image_pieces import DARK, NEAR_TOP, ImagePieces, middle
+from foreglow.beam.image_stripes import ImageStripes
 from foreglow.beam.known_images import KnownImages
 from foreglow.config import GuardConfig
 from foreglow.types import Image
@@ -72,6 +73,7 @@ class CameraWatch:
         self._config = config
         self._comparer = ImageComparer()
         self._pieces = ImagePieces()
+        self._stripes = ImageStripes()
         self._known_images = KnownImages()
         self._stillness = _Stillness(config.max_same_images)
         self._damage = ImageDamage()
@@ -87,6 +89,7 @@ class CameraWatch:
         self._known_images.reset()
         self._comparer.reset()
         self._pieces.reset()
+        self._stripes.reset()
         self._num_noise = 0
         self._stillness.reset()
         self._damage.reset()
@@ -124,6 +127,7 @@ class CameraWatch:
         by_noise = min(NOISE_CONTRAST * pieces.noise, MAX_NOISE_CONTRAST)
         is_black |= not is_saturated and pieces.contrast <= max(least, by_noise)
         change = self._comparer.compare(image, greatest)
+        stripes = self._stripes.update(image, greatest)
         known = self._known_images.update(rows)
         has_old_parts = self._damage.has_old_parts(known)
         is_frozen = self._stillness.update(
@@ -138,7 +142,7 @@ class CameraWatch:
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
             is_damaged |= self._damage.update(
-                change, pieces, one_value, known, self._time_ns / 1e9, is_still=is_still, is_moving=is_moving
+                change, pieces, one_value, known, stripes, self._time_ns / 1e9, is_still=is_still, is_moving=is_moving
             )
             if not is_damaged:
                 self._comparer.keep()

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,9 @@ SHARES_FILE = "shares.parquet"
 """Name of the file in the folder of a sequence's truth."""
 
 BOX = ("x1", "y1", "x2", "y2")
+
+_DIGEST = b"foreglow_sha256"
+"""Key of the checksum in the file's metadata."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +82,14 @@ def write_shares(path: Path, rows: Iterable[tuple[int, BoxShares]]) -> None:
     rows = [(image_id, found) for image_id, found in rows if len(found.boxes_xyxy_px)]
     boxes = np.concatenate([found.boxes_xyxy_px for _, found in rows]) if rows else np.zeros((0, 4), np.int32)
     shares = np.concatenate([found.shares for _, found in rows]) if rows else np.zeros((0, len(SOURCES)), np.float32)
-    columns: dict[str, Any] = {
-        "image_id": np.array([image_id for image_id, found in rows for _ in found.boxes_xyxy_px], np.int64),
-        "preset": arrow.array([found.preset for _, found in rows for _ in found.boxes_xyxy_px], arrow.string()),
-    }
+    images = np.array([image_id for image_id, found in rows for _ in found.boxes_xyxy_px], np.int64)
+    presets = [found.preset for _, found in rows for _ in found.boxes_xyxy_px]
+    columns: dict[str, Any] = {"image_id": images, "preset": arrow.array(presets, arrow.string())}
     columns |= {name: boxes[:, index] for index, name in enumerate(BOX)}
     columns |= {name: shares[:, index].astype(np.float32) for index, name in enumerate(SOURCES)}
+    table = arrow.table(columns, metadata={_DIGEST: _digest(images, presets, boxes, shares)})
     with atomic_path(path) as temporary:
-        arrow.parquet.write_table(arrow.table(columns), temporary, compression="zstd")
+        arrow.parquet.write_table(table, temporary, compression="zstd")
 
 
 def read_shares(path: Path | str) -> Iterator[tuple[int, BoxShares]]:
@@ -104,11 +108,14 @@ def read_shares(path: Path | str) -> Iterator[tuple[int, BoxShares]]:
     arrow = load_arrow()
     try:
         table = arrow.parquet.read_table(path, columns=["image_id", "preset", *BOX, *SOURCES])
-    except (arrow.ArrowException, OSError) as error:
+        images, presets = table["image_id"].to_numpy(), table["preset"].to_pylist()
+        boxes = _columns(table, BOX, np.int32)
+        shares = _columns(table, SOURCES, np.float32)
+    except (arrow.ArrowException, OSError, ValueError) as error:
         raise ValueError(f"{path}: expected a Parquet file with shares, {str(error).splitlines()[0]}") from error
-    images, presets = table["image_id"].to_numpy(), table["preset"].to_pylist()
-    boxes = _columns(table, BOX, np.int32)
-    shares = _columns(table, SOURCES, np.float32)
+    stated = (table.schema.metadata or {}).get(_DIGEST)  # None in data sets of earlier versions
+    if stated not in (None, _digest(images, presets, boxes, shares)):
+        raise ValueError(f"{path}: expected the shares that were written, the file is damaged or was changed")
     start = 0
     while start < len(images):
         end = start + 1
@@ -120,6 +127,19 @@ def read_shares(path: Path | str) -> Iterator[tuple[int, BoxShares]]:
             raise ValueError(f"{path}: image {images[start]}: {error}") from error
         yield int(images[start]), found
         start = end
+
+
+def _digest(
+    images: NDArray[np.int64],
+    presets: Sequence[str],
+    boxes: NDArray[np.integer[Any]],
+    shares: NDArray[np.floating[Any]],
+) -> bytes:
+    """A checksum of the rows: Parquet's own leave out parts of the file, and are off by default."""
+    found = hashlib.sha256("\0".join(presets).encode())
+    for values, dtype in ((images, "<i8"), (boxes, "<i4"), (shares, "<f4")):
+        found.update(np.ascontiguousarray(values, dtype).tobytes())
+    return found.hexdigest().encode()
 
 
 def _columns(table: Any, names: Sequence[str], dtype: type[np.generic]) -> NDArray[Any]:
