@@ -41,6 +41,8 @@ NAMES = {
     "half stuck": {GuardFault.DAMAGED, GuardFault.FROZEN},
     "quarter dark": {GuardFault.DAMAGED},
     "rows repeated": {GuardFault.DAMAGED},
+    "every other row stuck": {GuardFault.DAMAGED},
+    "every other row black": {GuardFault.DAMAGED},
     "cut JPEG": {GuardFault.DAMAGED},
 }
 

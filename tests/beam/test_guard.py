@@ -96,6 +96,7 @@ def test_guard_imports_no_policy() -> None:
         "image_change",
         "image_damage",
         "image_pieces",
+        "image_stripes",
         "known_images",
         "led_bounds",
         "sightlines",

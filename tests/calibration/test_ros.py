@@ -69,8 +69,9 @@ def test_a_rational_model_without_its_own_terms(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("terms", ["", "0.1, 0, 0, 0"])
 def test_fewer_terms(tmp_path: Path, terms: str) -> None:
-    text = TEXT.replace("-0.05, 0.02, 1e-05, 0, 0.001", terms)
-    expected = [float(term) for term in terms.split(",") if term] or [0.0] * 4
+    given = [float(term) for term in terms.split(",") if term]
+    text = TEXT.replace("-0.05, 0.02, 1e-05, 0, 0.001", terms).replace("cols: 5", f"cols: {len(given)}")
+    expected = given or [0.0] * 4
     assert read_intrinsics(write(tmp_path, text)).distortion == (*expected, 0.0)
 
 
@@ -112,6 +113,7 @@ def test_fewer_terms(tmp_path: Path, terms: str) -> None:
         ("plumb_bob", "equidistant", r"distortion_model: expected one of plumb_bob, .*got 'equidistant'; rectify"),
         ("0.001]", "0.001, 0.2]", r"distortion_coefficients: expected k1, k2, p1, p2, k3 and no further term but 0"),
         ("-0.05, 0.02, ", "", r"distortion_coefficients: expected 0, 4, 5 or more numbers, got 3"),
+        (", 0.001]", "]", r"distortion_coefficients: expected as many numbers as rows and cols say, 1 x 5, got 4"),
         ("camera_name", "name", r"name: unknown, expected one of image_width"),
         ("[1312.0", "{", r"(?s)front\.yaml: expected YAML: .*line 7"),
         (TEXT, "just a text", r"front\.yaml: expected the fields image_width, .*got str"),

@@ -69,6 +69,21 @@ def test_a_calibration_of_another_size_is_told(tmp_path: Path) -> None:
         assert ("warning: the principal point is far off the middle: cx" in result.stdout) == is_told
 
 
+def test_a_mount_on_a_lorry(tmp_path: Path) -> None:
+    """The options ended at 20 and 5 m, a calibration and the documentation at 30 and 10 m."""
+    source = tmp_path / "front.yaml"
+    source.write_text(ROS)
+    convert = ("calibrate", "convert", source, "--out", tmp_path / "camera.toml")
+    farthest = {"--mount-forward": 30, "--mount-left": -10, "--mount-height": 10, "--roll-deg": 45}
+    result = foreglow_command(*convert, *(word for pair in farthest.items() for word in pair))
+    assert result.exit_code == 0, result.output
+    position_m = read_calibration(tmp_path / "camera.toml").vehicle_from_camera.position_m
+    assert position_m.tolist() == [30.0, -10.0, 10.0]
+    for option, limit in farthest.items():
+        changed = farthest | {option: limit * 1.01}
+        assert option in complaint(*convert, *(word for pair in changed.items() for word in pair))
+
+
 @pytest.mark.parametrize(
     ("text", "options", "size_px"),
     [

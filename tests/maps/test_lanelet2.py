@@ -114,10 +114,12 @@ def test_errors(tmp_path: Path, old: str, new: str, message: str) -> None:
         read(tmp_path, text.replace(old, new) if "lanelet'" in old else text.replace(old, new, 1))
 
 
-def test_what_an_editor_has_deleted_is_no_road(tmp_path: Path) -> None:
-    deleted = lanelet(3, "a", "c").replace("<relation", "<relation action='delete'")
+@pytest.mark.parametrize("mark", ["action='delete'", "visible='false'", "action='modify' visible='false'"])
+def test_what_is_deleted_is_no_road(mark: str, tmp_path: Path) -> None:
+    deleted = lanelet(3, "a", "c").replace("<relation", f"<relation {mark}")
     assert len(read(tmp_path, document(more=deleted)).lines) == 1
     assert len(read(tmp_path, document(more=lanelet(3, "a", "c"))).lines) == 2
+    assert len(read(tmp_path, document(more=deleted.replace("false", "true").replace("delete", "modify"))).lines) == 2
 
 
 def test_a_file_without_nodes(tmp_path: Path) -> None:

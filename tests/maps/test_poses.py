@@ -106,13 +106,49 @@ def test_errors(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert "drive.csv: " in str(caught.value)
 
 
-@pytest.mark.parametrize(("column", "value"), [("heading_deg", "40000"), ("pitch_deg", "100"), ("roll_deg", "-200")])
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("heading_deg", "40000"), ("pitch_deg", "89"), ("pitch_deg", "-31"), ("roll_deg", "180"), ("roll_deg", "-31")],
+)
 def test_angles_that_cannot_be(column: str, value: str, tmp_path: Path) -> None:
     columns = ("timestamp_s", "lat_deg", "lon_deg", "heading_deg", "height_m", "pitch_deg", "roll_deg")
     rows = [dict.fromkeys(columns, "1"), dict.fromkeys(columns, "2") | {column: value}]
     text = "\n".join([",".join(columns), *(",".join(row.values()) for row in rows), ""])
-    with pytest.raises(ValueError, match=rf"drive\.csv: line 3: {column}: expected -\d+ to \d+ degrees, got {value}"):
+    with pytest.raises(ValueError, match=rf"drive\.csv: line 3: {column}: expected -\d+ to \d+ degrees.*, got {value}"):
         read_poses(write(tmp_path, text), GeographicOrigin(1.0, 1.0))
+
+
+def in_tum(turns: Rotation, order: list[int]) -> str:
+    """Poses of a car, their quaternions in another order of qx, qy, qz, qw."""
+    return "".join(
+        f"{time_s} 0 0 0 {' '.join(map(str, quaternion))}\n"
+        for time_s, quaternion in enumerate(turns.as_quat()[:, order].tolist())
+    )
+
+
+LEVEL = Rotation.from_euler("ZYX", [[0.0, 0.0, 0.0], [20.0, -19.3, 3.0], [40.0, 3.0, -8.0]], degrees=True)
+CAMERA_AXES = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("turns", "order"),
+    [
+        (LEVEL, [3, 0, 1, 2]),
+        (LEVEL, [2, 1, 0, 3]),
+        (LEVEL * CAMERA_AXES, [0, 1, 2, 3]),
+        (LEVEL * Rotation.from_euler("X", 180.0, degrees=True), [0, 1, 2, 3]),
+        (LEVEL * Rotation.from_euler("X", 90.0, degrees=True), [0, 1, 2, 3]),
+        (LEVEL * Rotation.from_euler("Y", -50.0, degrees=True), [0, 1, 2, 3]),
+    ],
+)
+def test_a_tilt_that_no_car_has_on_a_road(turns: Rotation, order: list[int], tmp_path: Path) -> None:
+    """A quaternion in another order, or other axes, turned the road upside down or mirrored it."""
+    assert read_poses(write(tmp_path, in_tum(LEVEL, [0, 1, 2, 3]), "level.tum")).has_attitude
+    expected = (
+        r"line \d: qx, qy, qz, qw: expected a car on a road, pitch and roll of at most 30 degrees, got .*x forward"
+    )
+    with pytest.raises(ValueError, match=rf"drive\.tum: {expected}"):
+        read_poses(write(tmp_path, in_tum(turns, order), "drive.tum"))
 
 
 def test_poses_and_map_must_be_of_one_kind(tmp_path: Path) -> None:

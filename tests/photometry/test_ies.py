@@ -136,6 +136,10 @@ GOOD = "1 -1 1 2 2 3 2 0 0 0\n1 1 0\n-5 5\n-5 5\n8 8 8 8\n"
         (HEADER + GOOD.replace("-1 1 2", "-1 1e308 2"), "candela values: expected at most 1e.07 cd .* got inf"),
         (HEADER + GOOD + "8 8\n", "line 10: expected the end of the file after 2 x 2 candela values.* got '8'"),
         (HEADER + GOOD.replace("8 8 8 8", "8,5 8,5 8,5 8,5"), "line 9: expected the end of the file"),
+        (
+            HEADER + GOOD.replace("-1 1 2", "-1 1,5 2"),
+            "line 5: 1,5 counts as two numbers, as a comma separates: write a",
+        ),
         (HEADER + GOOD.replace("8 8 8 8", "8 8 8 8_0"), "line 9: candela values: expected a number, got '8_0'"),
     ],
 )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from foreglow.runtime.time_axis import PAUSE_NS, TimeAxis
+from foreglow.datasets.bags import PAUSE_NS
+from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import Frame
 
 IMAGE = np.zeros((2, 2), np.uint8)

@@ -90,12 +90,12 @@ STUCK_RISE, NOISY_STUCK_SHARE, MIN_BRIGHT = 0.1, 0.08, 200
 second number: each had noise; of at least so many samples. Measured: what is stuck in stripes or tiles adds its area,
 raw, MJPEG and 8 Mbit/s; moving .01 at most, at 1 Mbit/s .07; at a tenth of the light, with the noise of light, .04."""
 
-STRIPES_RISE, COMB_RISE, INTERLACED = 0.1, 0.1, 1.05
+STRIPES_RISE, COMB_RISE, COMB = 0.1, 0.1, 1.05
 """Damage: in two images one of the first six numbers of `ImageStripes` exceeds the greatest usual one by more than the
-first, or the last one does by more than the second, but where it usually exceeds the third: interlaced images have rows
-of two moments, and these differ the more, the faster something moves. Measured: in both of two images .06 and .03 at
-most in six simulated cameras and two real videos of motorways; where every second row or column is stuck or black
-behind MJPEG, .08 or .4 and more."""
+first, or the last one does by more than the second and exceeds the third, but where it usually does: interlaced images
+have rows of two moments, which differ the more, the faster something moves; noise alone gives 1. Measured: in both of
+two images .06 and .03 at most in six simulated cameras and two real videos of motorways; where every second row or
+column is stuck or black behind MJPEG, .08 or .4 and more."""
 
 CONTRAST_STAYS = 0.6
 """But this does not begin where `contrast` has fallen below this share of the usual one: with the light, the noise ends
@@ -288,7 +288,7 @@ class ImageDamage:
             return False
         most = np.maximum.reduce(usual)
         rise = stripes - most
-        has_comb = (rise[:, -1] > COMB_RISE) & (most[:, -1] <= INTERLACED)
+        has_comb = (rise[:, -1] > COMB_RISE) & (most[:, -1] <= COMB) & (stripes[:, -1] > COMB)
         return bool(has_comb.any() or (rise[:, :-1] > STRIPES_RISE).any())
 
     def _learn(

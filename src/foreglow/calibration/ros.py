@@ -52,6 +52,9 @@ class _Matrix(FrozenModel):
     data: Annotated[tuple[_Number, ...], Field(strict=False)]
 
 
+_MATRICES = ("camera_matrix", "distortion_coefficients", "rectification_matrix", "projection_matrix")
+
+
 class _File(FrozenModel):
     image_width: Side
     image_height: Side
@@ -75,13 +78,13 @@ def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
     size_px = choice.checked_size_px((file.image_width, file.image_height), f"{path}: image_width, image_height")
     if choice.camera != 0:
         raise ValueError(f"{path}: camera: expected 0, a ROS file has one camera, got {choice.camera}")
-    name, columns = ("projection_matrix", 4) if choice.is_rectified else ("camera_matrix", 3)
+    used, columns = ("projection_matrix", 4) if choice.is_rectified else ("camera_matrix", 3)
     given = file.projection_matrix if choice.is_rectified else file.camera_matrix
     if given is None:
-        raise ValueError(f"{path}: {name}: missing, rectified images need it")
+        raise ValueError(f"{path}: {used}: missing, rectified images need it")
     if (given.rows, given.cols, len(given.data)) != (3, columns, 3 * columns):
         raise ValueError(
-            f"{path}: {name}: expected 3 rows, {columns} columns and {3 * columns} numbers, got {given.rows} rows, "
+            f"{path}: {used}: expected 3 rows, {columns} columns and {3 * columns} numbers, got {given.rows} rows, "
             f"{given.cols} columns and {len(given.data)} numbers"
         )
     distortion = (
@@ -89,7 +92,14 @@ def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
         if choice.is_rectified
         else distortion_of(file.distortion_model, file.distortion_coefficients.data, str(path))
     )
-    found = Intrinsics.of_matrix(np.array(given.data), size_px, f"{path}: {name}", distortion)
+    for name in _MATRICES:
+        matrix = getattr(file, name)
+        if matrix is not None and matrix.rows * matrix.cols != len(matrix.data):
+            raise ValueError(
+                f"{path}: {name}: expected as many numbers as rows and cols say, {matrix.rows} x {matrix.cols}, got "
+                f"{len(matrix.data)}"
+            )
+    found = Intrinsics.of_matrix(np.array(given.data), size_px, f"{path}: {used}", distortion)
     return found.undistorted(f"{path}: distortion_coefficients")
 
 

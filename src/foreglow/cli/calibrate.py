@@ -71,18 +71,18 @@ def convert(
     source: Annotated[Path, argument("FILE", "Calibration in the format of KITTI (.txt) or ROS (.yaml), or TOML.")],
     out: Annotated[Path, output_file("TOML file to write.", CALIBRATION)],
     mount_forward: Annotated[
-        float, option("M", "Position of the camera: metres in front of the rear axle.", min=-20.0, max=20.0)
+        float, option("M", "Position of the camera: metres in front of the rear axle.", min=-30.0, max=30.0)
     ],
     mount_height: Annotated[float, option("M", "Position of the camera: metres above the road.", min=0.1, max=10.0)],
     mount_left: Annotated[
-        float, option("M", "Position of the camera: metres left of the car's centre line.", min=-5.0, max=5.0)
+        float, option("M", "Position of the camera: metres left of the car's centre line.", min=-10.0, max=10.0)
     ] = 0.0,
     pitch_deg: Annotated[float, option("DEG", "Angle by which the camera points upwards.", min=-45.0, max=45.0)] = 0.0,
     yaw_deg: Annotated[
         float, option("DEG", "Angle by which the camera points to the left.", min=-45.0, max=45.0)
     ] = 0.0,
     roll_deg: Annotated[
-        float, option("DEG", "Angle by which the camera is rolled to the right.", min=-180.0, max=180.0)
+        float, option("DEG", "Angle by which the camera is rolled to the right.", min=-45.0, max=45.0)
     ] = 0.0,
     camera: Annotated[int, option("N", "Number of the camera in a KITTI file.", min=0, max=99)] = 0,
     rectified: Annotated[bool, flag("--rectified", "The images are rectified.")] = False,

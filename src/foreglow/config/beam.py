@@ -96,7 +96,8 @@ class GuardConfig(FrozenModel):
     Attributes:
         max_age_s: Largest age of an image when its command is checked.
         max_gap_s: Longest time between two frames; after a longer one there is low beam, and light returns slowly.
-        brightening_s: Shortest time in which an LED brightens from dark to full; dimming is immediate.
+        brightening_s: Shortest time in which an LED brightens from dark to full, at least 0.1 s, as light that comes
+            back at once would dazzle whoever was missed for a frame; dimming is immediate.
         low_below_mps: Low beam below this speed: 32 km/h, from public notes on 49 CFR 571.108.
         high_above_mps: High beam is allowed again above this speed.
         needs_speed: Whether an unknown speed is a fault; otherwise it counts as high enough.
@@ -116,7 +117,7 @@ class GuardConfig(FrozenModel):
 
     max_age_s: Annotated[float, Field(gt=0, le=10)] = 0.3
     max_gap_s: Annotated[float, Field(gt=0, le=10)] = 0.2
-    brightening_s: Annotated[float, Field(gt=0, le=60)] = 0.5
+    brightening_s: Annotated[float, Field(ge=0.1, le=60)] = 0.5
     low_below_mps: Speed = 32.0 / 3.6
     high_above_mps: Speed = 35.0 / 3.6
     needs_speed: bool = True

@@ -68,10 +68,10 @@ def read_lanelet2(path: Path) -> RoadMap:
 
 
 def _kept(root: Element, kind: str, path: Path) -> Iterator[tuple[str, Element]]:
-    """The elements of a kind with their ids, without those that an editor such as JOSM has marked as deleted."""
+    """The elements of a kind with their ids, without deleted ones: so marked by an editor such as JOSM, or by OSM."""
     seen = set[str]()
     for element in root.findall(kind):
-        if element.get("action") == "delete":
+        if element.get("action") == "delete" or element.get("visible") == "false":
             continue
         number = element.get("id")
         if number is None or number in seen:

@@ -47,7 +47,11 @@ TUM_COLUMNS = ("timestamp_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 METRIC_COLUMNS = TUM_COLUMNS[1:]
 EARTH_COLUMNS = ("lat_deg", "lon_deg", "heading_deg")
 EARTH_OPTIONS = ("height_m", "pitch_deg", "roll_deg")
-MAX_ANGLES_DEG = {"heading_deg": 36_000.0, "pitch_deg": 90.0, "roll_deg": 180.0}
+MAX_TILT_DEG = 30.0
+"""Largest pitch and roll of a car on a road, either way: the steepest streets rise by 35 % (19 degrees), and the body
+adds a few. Beyond it, the order of a quaternion or the axes are others, and the road would be turned or mirrored."""
+
+MAX_ANGLES_DEG = {"heading_deg": 36_000.0, "pitch_deg": MAX_TILT_DEG, "roll_deg": MAX_TILT_DEG}
 """Either way; some tools count a heading on over full turns."""
 
 REPORTED = "reported"
@@ -122,8 +126,9 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If a column is missing or unknown, a number is broken, times do not rise, there are fewer than two
-            poses, or only the poses or only the map are on the earth; the message names path and line.
+        ValueError: If a column is missing or unknown, a number is broken, a pose is tilted by more than `MAX_TILT_DEG`,
+            times do not rise, there are fewer than two poses, or only the poses or only the map are on the earth; the
+            message names path and line.
     """
     path = Path(path)
     columns, rows = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
@@ -225,7 +230,16 @@ def _metric(path: Path, values: dict[str, Floats], lines: list[int]) -> tuple[Fl
         )
     positions_m = np.stack([values[name] for name in ("x_m", "y_m", "z_m")], -1)
     check_points(positions_m, str(path))
-    return positions_m, Rotation.from_quat(quaternions)
+    turned = Rotation.from_quat(quaternions)
+    forward_z, left_z, up_z = turned.as_matrix()[:, 2].T  # as `geometry.rotation_angles_rad`, of all at once
+    pitches_deg, rolls_deg = np.degrees([np.arcsin(np.clip(forward_z, -1, 1)), np.arctan2(left_z, up_z)])
+    for row in np.flatnonzero(np.maximum(np.abs(pitches_deg), np.abs(rolls_deg)) > MAX_TILT_DEG)[:1].tolist():
+        raise ValueError(
+            f"{path}: line {lines[row]}: qx, qy, qz, qw: expected a car on a road, pitch and roll of at most "
+            f"{MAX_TILT_DEG:g} degrees, got {pitches_deg[row]:.0f} and {rolls_deg[row]:.0f}; is the order qx, qy, "
+            "qz, qw, with axes x forward, y left, z up?"
+        )
+    return positions_m, turned
 
 
 def _on_earth(
@@ -239,6 +253,8 @@ def _on_earth(
     for name, limit_deg in MAX_ANGLES_DEG.items():
         for row in np.flatnonzero(np.abs(values.get(name, np.zeros(0))) > limit_deg)[:1].tolist():
             expected = f"expected -{limit_deg:g} to {limit_deg:g} degrees"
+            if limit_deg == MAX_TILT_DEG:
+                expected += ", as a car on a road with x forward, y left, z up"
             raise ValueError(f"{path}: line {lines[row]}: {name}: {expected}, got {values[name][row]:g}")
     level = np.zeros(len(lines))
     heights_m = values.get("height_m", level)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,9 @@ REACHES_DEG: dict[Type, tuple[tuple[float, float], tuple[float, float]]] = {
     "C": ((0.0, 180.0), (0.0, 360.0)),
 }
 """Least and largest vertical and horizontal angle of each type: light at others would be at no direction."""
+
+_COMMA = re.compile(r"[+-]?\d+,\d+")
+"""Two numbers, or one with a decimal comma."""
 
 
 def read_ies(path: Path | str) -> IntensityTable:
@@ -50,6 +54,13 @@ def read_ies(path: Path | str) -> IntensityTable:
     """
     path = Path(path)
     lines = read_lamp_text(path).splitlines()
+    try:
+        return _read_lines(path, lines)
+    except ValueError as error:
+        raise ValueError(f"{error}{_comma_hint(lines)}") from None
+
+
+def _read_lines(path: Path, lines: list[str]) -> IntensityTable:
     fields = NumberFields(path, _words(path, lines))
     multiplier = fields.take(3, "number of lamps, lumens, multiplier")[2]
     num_verticals = fields.whole("number of vertical angles", 1)
@@ -76,6 +87,17 @@ def read_ies(path: Path | str) -> IntensityTable:
     if kind == "C" and span not in C_SPANS_DEG:
         raise ValueError(f"{path}: horizontal angles: expected a span of {C_SPANS_DEG}, got {span}")
     return resampled(kind, verticals, horizontals, candela.reshape(num_horizontals, num_verticals).T)
+
+
+def _comma_hint(lines: list[str]) -> str:
+    """What to look for if a file cannot be read in which a comma, which separates numbers, may be a decimal point."""
+    is_table = False
+    for number, line in enumerate(lines, 1):
+        suspect = next((word for word in line.split() if _COMMA.fullmatch(word)), None)
+        if is_table and suspect is not None:
+            return f"; line {number}: {suspect} counts as two numbers, as a comma separates: write a decimal point"
+        is_table = is_table or line.strip().upper().startswith("TILT")
+    return ""
 
 
 def _words(path: Path, lines: list[str]) -> list[tuple[int, str]]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
+from foreglow.datasets.bags import PAUSE_NS
 from foreglow.types import Frame
-
-PAUSE_NS = 1_000_000_000
-"""Pause between two sequences."""
 
 
 class TimeAxis:

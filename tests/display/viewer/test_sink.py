@@ -13,6 +13,7 @@ pytest.importorskip("rerun")
 
 import rerun as rr
 
+from foreglow.datasets.bags import PAUSE_NS
 from foreglow.display.overlay import KIND_BGR
 from foreglow.display.viewer import RerunSink, RrdFile
 from foreglow.display.viewer.blueprint import PLOTS, blueprint
@@ -20,7 +21,6 @@ from foreglow.display.viewer.entities import box_entities, led_picture, track_wo
 from foreglow.display.viewer.sink import NUM_SCORES, Slots, highest
 from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.health import Health
-from foreglow.runtime.time_axis import PAUSE_NS
 from foreglow.types import BeamMode, Frame, TrackState
 from foreglow.types.kinds import kinds_of_direct
 from tests.display.viewer.recordings import Recording, frame_at, full_result

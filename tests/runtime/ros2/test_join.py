@@ -135,6 +135,63 @@ def test_nothing_is_waited_for_too_long_or_held_too_long() -> None:
     assert "twist" not in joined.messages
 
 
+class Clock:
+    """ROS time, and the steady clock beside it."""
+
+    def __init__(self) -> None:
+        self.ros_ns = 1_000 * FRAME
+        self.steady_ns = 5 * MS
+
+    def pass_by(self, time_ns: int) -> None:
+        self.ros_ns += time_ns
+        self.steady_ns += time_ns
+
+
+def sample_at(join: Join, clock: Clock) -> object:
+    """What a frame that is taken now has of the topic."""
+    join.put("image", Header(clock.ros_ns), "i", clock.steady_ns)
+    joined = join.take(clock.steady_ns)
+    assert joined is not None
+    return joined.messages.get("twist")
+
+
+@pytest.mark.parametrize("ahead_ns", [Join.AHEAD_NS + 1, 3_000 * MS])
+def test_a_sample_that_is_stamped_ahead_is_used_neither_now_nor_later(ahead_ns: int) -> None:
+    """It was believed when its time had come: light stayed on for as long after the publisher died."""
+    clock = Clock()
+    join = Join(("image",), ("twist",), patience_ns=0, clock_ns=lambda: clock.ros_ns)
+    join.put("twist", Header(clock.ros_ns), "good", clock.steady_ns)
+    join.put("twist", Header(clock.ros_ns + ahead_ns), "ahead", clock.steady_ns)
+    assert join.ahead_s(clock.steady_ns) == {"twist": ahead_ns / 1e9}
+    assert sample_at(join, clock) == "good"
+    clock.pass_by(ahead_ns)
+    assert sample_at(join, clock) != "ahead"
+    assert bool(join.ahead_s(clock.steady_ns)) == (ahead_ns <= Join.HOLD_NS)
+
+
+def test_a_sample_that_is_a_little_ahead_is_held_no_longer_than_others() -> None:
+    clock = Clock()
+    join = Join(("image",), ("twist",), patience_ns=0, clock_ns=lambda: clock.ros_ns)
+    join.put("twist", Header(clock.ros_ns + Join.AHEAD_NS), "early", clock.steady_ns)
+    assert not join.ahead_s(clock.steady_ns)
+    clock.pass_by(Join.HOLD_NS)
+    assert sample_at(join, clock) == "early"
+    clock.pass_by(1)
+    assert sample_at(join, clock) is None
+
+
+def test_a_clock_that_is_set_back_makes_samples_ahead() -> None:
+    clock = Clock()
+    join = Join(("image",), ("twist",), patience_ns=0, clock_ns=lambda: clock.ros_ns)
+    for before_ms in (1500, 50):
+        join.put("twist", Header(clock.ros_ns - before_ms * MS), before_ms, clock.steady_ns)
+    clock.ros_ns -= 1_000 * MS
+    assert sample_at(join, clock) == 1500
+    assert join.ahead_s(clock.steady_ns) == {"twist": 0.95}
+    clock.pass_by(1_000 * MS)
+    assert sample_at(join, clock) is None
+
+
 @given(st.lists(st.tuples(st.sampled_from(["tracks", "image", "twist"]), st.integers(0, 12)), max_size=60))
 def test_whatever_comes_nothing_grows_and_no_frame_goes_back(puts: list[tuple[str, int]]) -> None:
     join, handed = Join(("tracks", "image"), ("twist",)), []

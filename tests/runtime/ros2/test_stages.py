@@ -27,7 +27,7 @@ from rclpy.qos import qos_profile_sensor_data
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, UNHEARD, Receiver, make_ros_node
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, STAMPED_AHEAD, UNHEARD, Receiver, make_ros_node
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
@@ -162,6 +162,44 @@ def test_a_header_that_cannot_be_read_is_low_beam_at_once(bench: Bench, frame: F
             assert BAD_MESSAGE in bench.node.faults
     bench.until("", frame)
     assert not bench.node.faults
+
+
+@pytest.mark.parametrize("topic", [topics.TWIST, topics.ATTITUDE, topics.REPORTED, topics.DAMAGE, topics.ROAD])
+def test_a_message_that_is_stamped_ahead_is_low_beam_and_never_believed(bench: Bench, frame: Frame, topic: str) -> None:
+    """A speed from a clock that was d s ahead kept the light on until d s after its publisher had died."""
+    reported = dataclasses.replace(frame, is_reported=False)
+    bench.until("", reported)
+
+    def by_a_fast_clock(messages: dict[str, Any]) -> None:
+        messages[topic].header.stamp.sec += 1
+
+    count = len(bench.commands)
+    bench.until(STAMPED_AHEAD, reported, by_a_fast_clock)
+    assert next(one for one in bench.commands[count:] if STAMPED_AHEAD in one.faults).mode == BeamMode.LOW
+    bench.wait(lambda: any(state.message == STAMPED_AHEAD for state in bench.states))
+    told = next(state for state in bench.states if state.message == STAMPED_AHEAD)
+    assert {value.key: value.value for value in told.values}["stamped ahead"].startswith(f"{topic} ")
+    bench.until("", reported)
+    assert not bench.node.faults
+
+
+def test_no_light_by_a_speed_whose_time_has_come(bench: Bench, frame: Frame) -> None:
+    bench.until("", frame)
+    header = Header(bench.node.clock_ns() + 1_000_000_000, frame.sequence)
+    early = dict(FramePublisher.messages(Due(frame, header)))
+    bench._publisher.publish([(topics.TWIST, early[topics.TWIST])])
+    bench.wait(lambda: STAMPED_AHEAD in bench.node.faults)
+    bench.wait(lambda: bench.node.clock_ns() > header.timestamp_ns)
+    count = len(bench.commands)
+
+    def without_speed() -> bool:
+        messages = FramePublisher.messages(Due(frame, Header(bench.node.clock_ns(), frame.sequence)))
+        bench._publisher.publish(message for message in messages if message[0] != topics.TWIST)
+        return sum(INPUT_MISSING not in one.faults for one in bench.commands[count:]) > 2
+
+    bench.wait(without_speed)
+    assert all(one.mode == BeamMode.LOW for one in bench.commands[count:])
+    assert any(GuardFault.NO_SPEED in one.faults for one in bench.commands[count:])
 
 
 @needs_processes

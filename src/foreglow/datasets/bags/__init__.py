@@ -4,7 +4,8 @@
 """
 
 from foreglow.datasets.bags.frame_message import FRAME_TOPIC, FRAME_TYPE, FrameMessage
+from foreglow.datasets.bags.pairs import PAUSE_NS
 from foreglow.datasets.bags.pixels import grey_image
 from foreglow.datasets.bags.recording import Recording, is_recording
 
-__all__ = ["FRAME_TOPIC", "FRAME_TYPE", "FrameMessage", "Recording", "grey_image", "is_recording"]
+__all__ = ["FRAME_TOPIC", "FRAME_TYPE", "PAUSE_NS", "FrameMessage", "Recording", "grey_image", "is_recording"]

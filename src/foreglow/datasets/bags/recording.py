@@ -10,10 +10,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from foreglow.datasets.bags.containers import PARTIAL_SUFFIXES, Container, Message, Topic, check_num_topics
+from foreglow.datasets.bags.containers import PARTIAL_SUFFIXES, Container, Message, Topic, check_num_topics, is_partial
 from foreglow.datasets.bags.cursor import CdrCursor, Cursor, latest_fields, text_of
 from foreglow.datasets.bags.frame_message import FRAME_TOPIC, FRAME_TYPE, FrameMessage
 from foreglow.datasets.bags.mcap_file import McapFile
+from foreglow.datasets.bags.pairs import TimeShift, pairs
 from foreglow.datasets.bags.pixels import Pixels, grey_image
 from foreglow.datasets.bags.ros1_bag import Ros1Bag
 from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
@@ -155,10 +156,11 @@ class Recording(FileSource):
     """The frames of an image topic, in the order of the file, grey.
 
     Times are those in the headers of the messages, or the times of recording where a header has none. Frames of our
-    own recordings carry the same as when they were recorded: number, sequence, time, camera, motion and road. Other
-    recordings give neither camera nor motion: a CameraInfo does not say where the camera is mounted in the vehicle. A
-    damaged message or chunk, or a missing end is an error; with `skip`, damaged parts are left out. A recording whose
-    name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk.
+    own recordings carry the same as when they were recorded: number, sequence, time, camera, motion and road; an image
+    without these, or with those of another time, is damage. Other recordings give neither camera nor motion: a
+    CameraInfo does not say where the camera is mounted in the vehicle. A damaged message or chunk, or a missing end is
+    an error; with `skip`, damaged parts are left out. A recording whose name says that it is incomplete
+    (`PARTIAL_SUFFIXES`) is read up to its last whole chunk.
 
     Attributes:
         path: File or folder.
@@ -202,23 +204,36 @@ class Recording(FileSource):
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
-        index, record = -1, _NO_RECORD
-        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose):
-            if message.topic.type == FRAME_TYPE:
-                record = message
-            elif message.topic.name == self.topic:
-                index += 1
-                try:
-                    yield self._frame(message, index, record)
-                except ValueError as error:
-                    self._refuse(f"{self.path}: {self.topic}: frame {index}: {error}")
+        index, latest_ns, is_ours, shift = -1, -1, False, TimeShift()
+        is_complete = not (self._container.truncation or is_partial(self.path))
+        for image, record in pairs(self._read(), is_complete=is_complete):
+            try:
+                if image is not None:
+                    index, latest_ns, is_ours = index + 1, image.log_time_ns, is_ours or record is not None
+                    yield self._frame(image, record, index, shift if is_ours else None)
+                elif record is not None and (is_ours or record.log_time_ns <= latest_ns):
+                    raise ValueError(f"expected an image at the time of {FRAME_TYPE}, {record.log_time_ns} ns")
+            except ValueError as error:
+                self._refuse(f"{self.path}: {self.topic}: frame {index}: {error}")
 
-    def _frame(self, message: Message, index: int, record: Message) -> Frame:
-        decoded = self._decode(message.data)
-        path = f"{self.path}, {self.topic}, frame {index}"
-        if record.log_time_ns == message.log_time_ns:
-            return parse_json(bytes(record.data), FrameMessage, FRAME_TYPE).frame_of(decoded.image(), path)
-        return Frame(decoded.image(), _time_ns(decoded, message), frame=index, path=path)
+    def _read(self) -> Iterator[Message]:
+        """The images and what our own recordings have beside them."""
+        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose):
+            if self.topic == message.topic.name or message.topic.type == FRAME_TYPE:
+                yield message
+
+    def _frame(self, image: Message, record: Message | None, index: int, shift: TimeShift | None) -> Frame:
+        """The frame of an image; `shift` checks times where images have a record, None where they have none."""
+        decoded = self._decode(image.data)
+        path, time_ns = f"{self.path}, {self.topic}, frame {index}", _time_ns(decoded, image)
+        if shift is None:
+            return Frame(decoded.image(), time_ns, frame=index, path=path)
+        if record is None:
+            raise ValueError(f"expected {FRAME_TYPE} at its time, {image.log_time_ns} ns, found none")
+        message = parse_json(bytes(record.data), FrameMessage, FRAME_TYPE)
+        frame = message.frame_of(decoded.image(), path)
+        shift.check(message, time_ns)
+        return frame
 
     def _found(self, name: str | None) -> Topic:
         """The topic called `name`, or the first with images; without any, the error lists the topics."""
@@ -245,9 +260,6 @@ class Recording(FileSource):
                 continue
         steps_ns = [step for before, after in itertools.pairwise(times_ns) if (step := after - before) > 0]
         return 1e9 / statistics.median(steps_ns) if steps_ns else None
-
-
-_NO_RECORD = Message(Topic("", "", ""), -1, memoryview(b""))
 
 
 def is_recording(path: Path) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from foreglow.runtime.ros2.header import Header
@@ -31,12 +31,44 @@ class _Parts:
         self.received_ns = 0
 
 
+class _Sample(NamedTuple):
+    """A message with its stamp, and since when it is known: its stamp, but not later than its receipt."""
+
+    stamp_ns: int
+    since_ns: int
+    message: Any
+
+
+class _Ahead(NamedTuple):
+    """How far a refused message was stamped ahead, and when that was noticed, by the caller's clock."""
+
+    ahead_ns: int
+    noticed_ns: int
+
+
 class _Samples:
     """The latest messages on a sampled topic, each with its own time."""
 
     def __init__(self, capacity: int) -> None:
-        self.messages: deque[tuple[int, Any]] = deque(maxlen=capacity)
+        self.messages: deque[_Sample] = deque(maxlen=capacity)
         self.received_ns = 0
+        self.ahead: _Ahead | None = None
+
+    def put(self, stamp_ns: int, message: Any, now_ns: int, clock_ns: int | None) -> None:
+        """Keeps a message, unless it is stamped ahead of `clock_ns`."""
+        if clock_ns is not None and stamp_ns - clock_ns > Join.AHEAD_NS:
+            self.ahead = _Ahead(stamp_ns - clock_ns, now_ns)
+            return
+        self.messages.append(_Sample(stamp_ns, stamp_ns if clock_ns is None else min(stamp_ns, clock_ns), message))
+        self.received_ns = now_ns
+
+    def forget_ahead(self, now_ns: int, clock_ns: int) -> None:
+        """Forgets the messages that are stamped ahead of a clock that was set back to `clock_ns`."""
+        latest_ns = max((sample.stamp_ns for sample in self.messages), default=clock_ns)
+        if latest_ns - clock_ns > Join.AHEAD_NS:
+            self.ahead = _Ahead(latest_ns - clock_ns, now_ns)
+            kept = [sample for sample in self.messages if sample.stamp_ns - clock_ns <= Join.AHEAD_NS]
+            self.messages = deque(kept, self.messages.maxlen)
 
 
 class Join:
@@ -46,6 +78,9 @@ class Join:
     on `sampled` topics have times of their own: a frame takes the latest one that is not later than the frame and at
     most `HOLD_NS` older. If a sampled topic is active but its latest message is older than the frame, the frame waits
     for the next one, `patience_ns` at most, so that all nodes take the same sample.
+
+    A sample that is stamped more than `AHEAD_NS` later than the headers' clock is never used: kept until its time
+    comes, it would be believed long after its publisher died. One that is ahead by less ages from its receipt.
 
     When a frame is returned, all older ones are dropped: a frame with a lost message never delays those that follow.
     At most `CAPACITY` frames are kept, and `NUM_SAMPLES` of a sampled topic, or `NUM_FAST_SAMPLES` where they are small
@@ -60,6 +95,7 @@ class Join:
     CAPACITY = 8
     NUM_SAMPLES, NUM_FAST_SAMPLES = 64, 1000
     HOLD_NS = 500_000_000
+    AHEAD_NS = 100_000_000  # a simulated clock may tick at 10 Hz; clocks on a network differ by milliseconds
     PATIENCE_NS = 20_000_000
 
     def __init__(
@@ -69,14 +105,25 @@ class Join:
         *,
         fast: Collection[str] = (),
         patience_ns: int = PATIENCE_NS,
+        clock_ns: Callable[[], int] | None = None,
     ) -> None:
-        """A join of messages on these topics; `fast` are those of the sampled ones that have small messages."""
+        """A join of messages on these topics.
+
+        Args:
+            exact: Topics whose messages have the frame's header.
+            sampled: Topics whose messages have times of their own.
+            fast: Those of the sampled topics that have small messages.
+            patience_ns: How long a frame waits for a sample.
+            clock_ns: The clock of all headers, such as ROS time; None where there is none, so that no stamp is ahead.
+        """
         self._exact = tuple(exact)
         self._frames: dict[Header, _Parts] = {}  # in the order of their first message
         self._patience_ns = patience_ns
         self._sampled = {
             topic: _Samples(self.NUM_FAST_SAMPLES if topic in fast else self.NUM_SAMPLES) for topic in sampled
         }
+        self._clock_ns = clock_ns
+        self._clock_seen_ns: int | None = None
         self.num_dropped = 0
         self.is_waiting = False
 
@@ -84,8 +131,7 @@ class Join:
         """Adds a message that was received at `now_ns`."""
         samples = self._sampled.get(topic)
         if samples is not None:
-            samples.messages.append((header.timestamp_ns, message))
-            samples.received_ns = now_ns
+            samples.put(header.timestamp_ns, message, now_ns, self._look_at_clock(now_ns))
             return
         parts = self._frames.setdefault(header, _Parts())
         parts.messages[topic] = message
@@ -95,6 +141,7 @@ class Join:
 
     def take(self, now_ns: int) -> Joined | None:
         """The complete frame that arrived last; None while there is none, or while it waits for a sample."""
+        self._look_at_clock(now_ns)
         complete = [header for header, parts in self._frames.items() if len(parts.messages) == len(self._exact)]
         if not complete:
             return None
@@ -115,6 +162,14 @@ class Join:
                 messages[topic] = sample
         return Joined(header, messages, parts.received_ns)
 
+    def ahead_s(self, now_ns: int) -> dict[str, float]:
+        """The sampled topics on which a message within `HOLD_NS` was stamped ahead, and by how many seconds."""
+        return {
+            topic: samples.ahead.ahead_ns / 1e9
+            for topic, samples in self._sampled.items()
+            if samples.ahead is not None and now_ns - samples.ahead.noticed_ns <= self.HOLD_NS
+        }
+
     @property
     def missing(self) -> tuple[str, ...]:
         """The exact topics on which nothing was received for any of the kept frames."""
@@ -122,11 +177,22 @@ class Join:
             topic for topic in self._exact if not any(topic in parts.messages for parts in self._frames.values())
         )
 
+    def _look_at_clock(self, now_ns: int) -> int | None:
+        """The headers' clock; once it was set back, what is ahead of it by now is forgotten."""
+        if self._clock_ns is None:
+            return None
+        clock_ns = self._clock_ns()
+        if self._clock_seen_ns is not None and clock_ns < self._clock_seen_ns:
+            for samples in self._sampled.values():
+                samples.forget_ahead(now_ns, clock_ns)
+        self._clock_seen_ns = clock_ns
+        return clock_ns
+
     def _is_awaited(self, samples: _Samples, header: Header, parts: _Parts, now_ns: int) -> bool:
         """Whether a sample nearer to the frame's time may still arrive."""
         if not samples.messages or now_ns - samples.received_ns > max(self.HOLD_NS, self._patience_ns):
             return False
-        return samples.messages[-1][0] < header.timestamp_ns and now_ns - parts.received_ns < self._patience_ns
+        return samples.messages[-1].stamp_ns < header.timestamp_ns and now_ns - parts.received_ns < self._patience_ns
 
     def _drop(self, header: Header) -> None:
         del self._frames[header]
@@ -135,7 +201,7 @@ class Join:
 
 def _latest(samples: _Samples, time_ns: int) -> Any | None:
     """The latest sample that is not later than `time_ns`, unless it is too old."""
-    for stamp_ns, message in reversed(samples.messages):
-        if stamp_ns <= time_ns:
-            return message if time_ns - stamp_ns <= Join.HOLD_NS else None
+    for sample in reversed(samples.messages):
+        if sample.stamp_ns <= time_ns:
+            return sample.message if time_ns - sample.since_ns <= Join.HOLD_NS else None
     return None

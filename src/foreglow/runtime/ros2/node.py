@@ -33,6 +33,8 @@ INPUT_MISSING = "input_missing"
 """Fault: no input came in time."""
 UNHEARD = "unheard_publisher"
 """Fault: someone sends on a topic with best effort where we need reliable messages, and get none of those."""
+STAMPED_AHEAD = "stamped_ahead"
+"""Fault: a message is stamped later than ROS time, so nobody knows of when it is; it was not used."""
 
 REPORT_NS = 1_000_000_000
 """A node reports its state once in this time, and whenever its faults change."""
@@ -129,7 +131,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self.num_frames = 0
         exact = tuple(dict.fromkeys(exact))
         patience_ns = Join.PATIENCE_NS if patience_s is None else round(patience_s * 1e9)
-        self._join = Join(exact, sampled, fast=topics.FAST, patience_ns=patience_ns)
+        self._join = Join(exact, sampled, fast=topics.FAST, patience_ns=patience_ns, clock_ns=self.clock_ns)
         self._sequence: str | None = None
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._reliable: list[str] = []
@@ -188,6 +190,7 @@ class FrameNode(ABC, Generic[Inputs]):
         is_waiting = self._join.is_waiting
         self._receiver.receive(WAITING_S if is_waiting else IDLE_S)
         joined = self._join.take(time.monotonic_ns())
+        self._look_for_ahead(time.monotonic_ns())
         if joined is not None:
             self._work_on(joined)
         self.idle(time.monotonic_ns())
@@ -212,6 +215,15 @@ class FrameNode(ABC, Generic[Inputs]):
         subscription = self.ros.create_subscription(topics.TYPES[topic], topic, take, quality)
         if quality.reliability == ReliabilityPolicy.RELIABLE:
             self._reliable.append(subscription.topic_name)
+
+    def _look_for_ahead(self, now_ns: int) -> None:
+        """Looks whether messages are stamped ahead of ROS time: what they say, such as damage, is not known in time."""
+        ahead_s = self._join.ahead_s(now_ns)
+        for topic, by_s in ahead_s.items():
+            limit = f"expected at most {Join.AHEAD_NS / 1e9:g} s later than ROS time, got {by_s:.2f} s"
+            self._note(STAMPED_AHEAD, ValueError(f"{topic}: header.stamp: {limit}"))
+        if not ahead_s:
+            self.faults.discard(STAMPED_AHEAD)
 
     def _look_for_unheard(self, now_ns: int) -> None:
         """Looks once a second whether all that is sent on our topics can reach us: ROS 2 drops the rest silently."""
@@ -278,6 +290,7 @@ class FrameNode(ABC, Generic[Inputs]):
             "frames": str(self.num_frames),
             "dropped": str(self._join.num_dropped),
             "waiting for": " ".join(self._join.missing),
+            "stamped ahead": ", ".join(f"{topic} {by_s:.2f} s" for topic, by_s in self._join.ahead_s(now_ns).items()),
             **{f"slowest {name} ms": f"{value:.2f}" for name, value in self._slowest_ms.items()},
         }
         self._slowest_ms.clear()

@@ -12,7 +12,7 @@ from foreglow.runtime.live import LiveFault
 from foreglow.runtime.live.outlet import Outlet
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import INPUT_MISSING, UNHEARD, FrameNode
+from foreglow.runtime.ros2.node import INPUT_MISSING, STAMPED_AHEAD, UNHEARD, FrameNode
 from foreglow.runtime.ros2.results import beam_message
 from foreglow.types import BeamCommand
 
@@ -50,7 +50,9 @@ class BeamOutput:
 
     def arrived(self) -> tuple[str, ...]:
         """Restarts the deadline, as input has come; the faults that this ends, or that last, for the guard to know."""
-        missed = tuple(fault for fault in (INPUT_MISSING, LiveFault.BUS, UNHEARD) if fault in self._faults)
+        missed = tuple(
+            fault for fault in (INPUT_MISSING, LiveFault.BUS, UNHEARD, STAMPED_AHEAD) if fault in self._faults
+        )
         self._faults.discard(INPUT_MISSING)
         self._due_ns = time.monotonic_ns() + self._deadline_ns
         return missed
