@@ -92,10 +92,10 @@ raw, MJPEG and 8 Mbit/s; moving .01 at most, at 1 Mbit/s .07; at a tenth of the 
 
 STRIPES_RISE, COMB_RISE, COMB = 0.1, 0.1, 1.05
 """Damage: in two images one of the first six numbers of `ImageStripes` exceeds the greatest usual one by more than the
-first, or the last one does by more than the second and exceeds the third, but where it usually does: interlaced images
-have rows of two moments, which differ the more, the faster something moves; noise alone gives 1. Measured: in both of
-two images .06 and .03 at most in six simulated cameras and two real videos of motorways; where every second row or
-column is stuck or black behind MJPEG, .08 or .4 and more."""
+first, where the noise of each usual image was new, or the last one does by more than the second and exceeds the third,
+but where it usually does: interlaced images have rows of two moments, which differ the more, the faster something
+moves; noise alone gives 1. Measured: in both of two images .06 and .03 at most in six simulated cameras and two real
+videos of motorways; where every second row or column is stuck or black behind MJPEG, .08 or .4 and more."""
 
 CONTRAST_STAYS = 0.6
 """But this does not begin where `contrast` has fallen below this share of the usual one: with the light, the noise ends
@@ -289,7 +289,8 @@ class ImageDamage:
         most = np.maximum.reduce(usual)
         rise = stripes - most
         has_comb = (rise[:, -1] > COMB_RISE) & (most[:, -1] <= COMB) & (stripes[:, -1] > COMB)
-        return bool(has_comb.any() or (rise[:, :-1] > STRIPES_RISE).any())
+        is_noisy = min(each.share_changed for each in _older(self._changes)) > FRESH_SHARE
+        return bool(has_comb.any() or (is_noisy and (rise[:, :-1] > STRIPES_RISE).any()))
 
     def _learn(
         self,
