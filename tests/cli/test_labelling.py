@@ -216,6 +216,8 @@ def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_
     evaluate = ("evaluate", shipped_drive(), "--predictions", cut / "frames.jsonl", "--out", tmp_path / "report")
     lines = (cut / "frames.jsonl").read_text().splitlines(keepends=True)
     (cut / "frames.jsonl").write_text("".join(lines[:20]))
+    assert "frames.jsonl: expected the frames that the run wrote, by frames_sha256" in complaint(*evaluate)
+    without_digest(cut)
     assert f"{cut}: 20 of 30 frames are left of the run, what is made" in foreglow_command(*evaluate).stdout
     (cut / "summary.json").unlink()
     assert f"{cut}: no summary.json: the run was not finished, what is made" in foreglow_command(*evaluate).stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import shutil
 import uuid
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.files import json_text
+from foreglow.files import file_digest, json_text
 from foreglow.folder_lock import FolderLock
 from foreglow.outputs import RESULT_NAMES, RUN, check_own, check_replaceable
 from foreglow.runs.frames_file import frame_to_line
@@ -137,6 +138,11 @@ class OutputFolder:
         for name in LINES:
             if name in self._partials and not self._partials[name].exists():
                 raise FileNotFoundError(f"{self.path / name}: expected what was written so far, it was removed")
+        digest = file_digest(self.partial("frames.jsonl"))
+        if isinstance(summary, LiveSummary):
+            summary = dataclasses.replace(summary, run=dataclasses.replace(summary.run, frames_sha256=digest))
+        else:
+            summary = dataclasses.replace(summary, frames_sha256=digest)
         self.write_text("summary.json", json_text(summary, indent=2))  # in the room that may have been kept for both
         self.write_text("config.toml", config_to_toml(config))
         for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed

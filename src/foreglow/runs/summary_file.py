@@ -68,6 +68,8 @@ class RunSummary(_Strict):
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
+        frames_sha256: SHA-256 of `frames.jsonl` as it was when the run ended, by which a later change is noticed; None
+            until then, and in folders of earlier versions.
         num_lost_parts: How many of these lines are about a part of the file in which there may be any number of frames.
         frame_sizes_px: Each (width, height) that occurred, in order of the first frame that had it.
         run_time_ms: Median, p95 and p99 of every stage and of `total`, the sum of a frame's stages, in milliseconds;
@@ -104,6 +106,7 @@ class RunSummary(_Strict):
     dispatch: str | None
     command: str | None = None
     num_lost_parts: int = 0
+    frames_sha256: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The fields; a `source` that is not UTF-8 is written as a URI."""
