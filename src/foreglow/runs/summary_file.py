@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 from pydantic import ConfigDict, RootModel
 
@@ -112,6 +112,10 @@ class RunSummary(_Strict):
         """The fields; a `source` that is not UTF-8 is written as a URI."""
         return fields_to_json(self) | {"source": path_in_unicode(self.source)}
 
+    def with_frames(self, sha256: str) -> Self:
+        """The same of a run whose `frames.jsonl` has this SHA-256."""
+        return dataclasses.replace(self, frames_sha256=sha256)
+
 
 @dataclass(slots=True)
 class FaultEvent(_Strict):
@@ -166,6 +170,10 @@ class LiveSummary(LivePart):
         """The form of `SummaryFile`: the fields of `run`, and all others under `live`."""
         live = fields_to_json(self)
         return {**live.pop("run"), "live": live}
+
+    def with_frames(self, sha256: str) -> Self:
+        """As `RunSummary.with_frames`."""
+        return dataclasses.replace(self, run=self.run.with_frames(sha256))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
