@@ -55,7 +55,10 @@ def test_the_summary_knows_the_frames_as_they_are_on_disk(tmp_path: Path, num_pa
     live = LiveSummary(
         run=SUMMARY, num_dropped=0, num_late=0, num_unrecorded=0, sink_errors=(), fault_counts={}, faults=()
     )
-    folder.publish(REFERENCE, live if is_live else SUMMARY)
+    if is_live:
+        folder.publish(REFERENCE, live)
+    else:
+        folder.publish(REFERENCE, SUMMARY)
     written = (tmp_path / "frames.jsonl").read_bytes()
     assert written
     summary = read_summary(tmp_path / "summary.json")
