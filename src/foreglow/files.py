@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import codecs
 import dataclasses
+import hashlib
 import json
 import math
 import os
@@ -224,6 +225,16 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
     _check_size(path, len(data), max_bytes)  # it may grow, and those of the kernel do not tell their size
     return data
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES, encoding: str = "utf-8-sig", errors: str = "strict") -> str:

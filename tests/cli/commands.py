@@ -40,6 +40,6 @@ def num_lines(path: Path) -> int:
 
 
 def without_digest(run: Path) -> None:
-    """Makes the run in a folder one of an earlier version, which does not say by what its source is known."""
+    """Makes the run in a folder one of an earlier version: it does not say by what its source and frames are known."""
     summary = json.loads((run / "summary.json").read_text())
-    (run / "summary.json").write_text(json.dumps(summary | {"source_digest": None}))
+    (run / "summary.json").write_text(json.dumps(summary | {"source_digest": None, "frames_sha256": None}))

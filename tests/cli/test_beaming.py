@@ -308,6 +308,9 @@ def test_runs_that_cannot_be_used(tmp_path: Path, run: Path) -> None:
     assert f"give them in place of {moved}, with --config {moved / 'config.toml'}" in line
     later = broken("later", "frames.jsonl", '"timestamp_ns":0', '"timestamp_ns":1')
     line = complaint("beam", later, "--out", out)
+    assert "later/frames.jsonl: expected the frames that the run wrote, by frames_sha256 in summary.json" in line
+    without_digest(later)
+    line = complaint("beam", later, "--out", out)
     assert "later: expected the frames of its source, has no frame 10000 at 0.000 s" in line
     trackless = tmp_path / "trackless"
     assert (

@@ -84,6 +84,16 @@ def test_points_outside_the_image_are_told(split: Path, predictions: Path) -> No
     assert "outside the image, so that no box finds them: 1 key point;" in foreglow_command(*words).stdout
 
 
+def test_points_that_are_there_several_times_are_told(split: Path, predictions: Path) -> None:
+    words = ("evaluate", split, "--predictions", predictions)
+    assert "counted again" not in foreglow_command(*words).stdout
+    keypoints = split / "labels" / "keypoints" / "000004.json"
+    content = json.loads(keypoints.read_text())
+    keypoints.write_text(json.dumps(content | {"annotations": content["annotations"] * 3}))
+    again = "in the labels again, same vehicle, instance and place, and counted again: 2 key points\n"
+    assert again in foreglow_command(*words).stdout
+
+
 def test_a_split_whose_name_is_no_utf_8(split: Path, predictions: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     moved = split.parents[1].rename(tmp_path / os.fsdecode(b"PVDN\xff")) / "day" / "val"

@@ -13,7 +13,7 @@ import pytest
 
 from foreglow.datasets import open_labelled, shipped_drive
 from foreglow.runs.recorded_run import read_run
-from tests.cli.commands import complaint, foreglow_command, without_digest
+from tests.cli.commands import complaint, foreglow_command, names, without_digest
 from tests.datasets.tiny_pvdn import make_pvdn
 
 
@@ -210,12 +210,39 @@ def test_every_reader_of_an_interrupted_run_says_so(run: Path, tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("frame", [10050, 99])
+def test_every_reader_refuses_a_line_that_the_run_did_not_write(run: Path, frame: int, tmp_path: Path) -> None:
+    """Of a later frame of the drive, or of one that it does not have."""
+    longer, drive = tmp_path / "longer", shipped_drive()
+    shutil.copytree(run, longer, ignore=shutil.ignore_patterns("suggestions.csv", "report.html"))
+    frames = longer / "frames.jsonl"
+    lines = frames.read_text().splitlines(keepends=True)
+    line = json.loads(lines[-1])
+    assert frame not in {json.loads(each)["frame"] for each in lines}
+    frames.write_text("".join([*lines, f"{json.dumps(line | {'frame': frame})}\n"]))
+    before = names(longer)
+    for command in (
+        ("report", longer),
+        ("suggest", longer),
+        ("beam", longer, "--out", tmp_path / "beam"),
+        ("export-mot", longer, drive, "--out", tmp_path / "mot"),
+        ("labels", "export", drive, "--run", longer, "--out", tmp_path / "guess.xml"),
+        ("evaluate", drive, "--predictions", frames),
+    ):
+        assert f"{frames}: expected the frames that the run wrote, by frames_sha256" in complaint(*command)
+    assert names(longer) == before
+    assert names(tmp_path) == {"longer"}
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut"
     shutil.copytree(run, cut)
     evaluate = ("evaluate", shipped_drive(), "--predictions", cut / "frames.jsonl", "--out", tmp_path / "report")
     lines = (cut / "frames.jsonl").read_text().splitlines(keepends=True)
     (cut / "frames.jsonl").write_text("".join(lines[:20]))
+    assert "frames.jsonl: expected the frames that the run wrote, by frames_sha256" in complaint(*evaluate)
+    without_digest(cut)
     assert f"{cut}: 20 of 30 frames are left of the run, what is made" in foreglow_command(*evaluate).stdout
     (cut / "summary.json").unlink()
     assert f"{cut}: no summary.json: the run was not finished, what is made" in foreglow_command(*evaluate).stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from foreglow.config import config_to_toml, read_config
 from foreglow.outputs import RESULT_NAMES
 from foreglow.runs.folder import OutputFolder, part_sinks
-from foreglow.runs.summary_file import read_summary
+from foreglow.runs.summary_file import LiveSummary, read_summary
 from foreglow.runs.tally import Tally
 from foreglow.whole_files import open_atomic, together
 from tests.stand_ins import REFERENCE, night_frames, result_of
@@ -36,6 +37,33 @@ def test_nothing_has_its_name_before_it_is_published(tmp_path: Path) -> None:
     assert contents(tmp_path) == {"beam.log": "new", "frames.jsonl": ""}
     assert read_config(tmp_path / "config.toml") == REFERENCE
     assert read_summary(tmp_path / "summary.json").source == "here"
+
+
+@pytest.mark.parametrize("is_live", [False, True])
+@pytest.mark.parametrize("num_parts", [0, 2])
+def test_the_summary_knows_the_frames_as_they_are_on_disk(tmp_path: Path, num_parts: int, is_live: bool) -> None:
+    folder = OutputFolder(tmp_path)
+    if num_parts:
+        parts = folder.make_parts()
+        for name in "ab":
+            for sink in part_sinks(parts, name):
+                sink.write(night_frames(1)[0], result_of(night_frames(1)[0], [[1, 2, 9, 9]]))
+                sink.close()
+        folder.join_parts(parts, "ab")
+    else:
+        folder.write_text("frames.jsonl", "whatever there is\n")
+    live = LiveSummary(
+        run=SUMMARY, num_dropped=0, num_late=0, num_unrecorded=0, sink_errors=(), fault_counts={}, faults=()
+    )
+    if is_live:
+        folder.publish(REFERENCE, live)
+    else:
+        folder.publish(REFERENCE, SUMMARY)
+    written = (tmp_path / "frames.jsonl").read_bytes()
+    assert written
+    summary = read_summary(tmp_path / "summary.json")
+    assert summary.frames_sha256 == hashlib.sha256(written).hexdigest()
+    assert (summary.live is not None) == is_live
 
 
 def test_results_that_somebody_removed_are_not_published(tmp_path: Path) -> None:

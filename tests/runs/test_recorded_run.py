@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from foreglow.runs.folder import OutputFolder
+from foreglow.runs.frame_line import FrameLine
 from foreglow.runs.frames_file import frame_to_line, read_gaps, read_results, read_tracks
 from foreglow.runs.origin import origin_digest
 from foreglow.runs.predictions import read_predictions
@@ -145,14 +146,14 @@ def test_a_run_of_version_0_1_0() -> None:
 
 
 def test_frames_that_were_not_copied_are_missed(tmp_path: Path) -> None:
-    frames = write_run(tmp_path / "run", [made_up(1), made_up(2)]) / "frames.jsonl"
+    frames = write_run(tmp_path / "run", [made_up(1), made_up(2)], frames_sha256=None) / "frames.jsonl"
     frames.write_text(frames.read_text().partition("\n")[0] + "\n")
     with pytest.raises(ValueError, match=r"frames\.jsonl: expected the 2 frames of summary\.json, got 1"):
         read_run(tmp_path / "run")
 
 
 def test_frames_of_another_run_are_told(tmp_path: Path) -> None:
-    """As long as the run itself, with the summary of the other one."""
+    """As long as the run itself, with the summary of the other one, which an earlier version wrote."""
     frame, fewer = made_up(2)
     detections = result_of(frame, [(10, 10, 20, 20), (30, 10, 40, 20)], [0.25, 0.125]).detections
     others = {
@@ -163,8 +164,8 @@ def test_frames_of_another_run_are_told(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", [made_up(1), made_up(2)])
     for name, other in others.items():
         num_accepted = 1 if name == "1 accepted boxes" else 2
-        summary = write_run(tmp_path / name, [made_up(1), other], num_accepted=num_accepted) / "summary.json"
-        shutil.copy(summary, run)
+        changes = {"num_accepted": num_accepted, "frames_sha256": None}
+        shutil.copy(write_run(tmp_path / name, [made_up(1), other], **changes) / "summary.json", run)
         with pytest.raises(ValueError, match=rf"run/frames\.jsonl: expected the {name} of summary\.json, got \d$"):
             read_run(run)
 
@@ -236,3 +237,68 @@ def test_an_edited_threshold_is_told_whatever_reads_the_run(tmp_path: Path, name
     expected = r"frames\.jsonl: line 1: detections_xyxy_px: expected the 2 boxes with scores above 0\.2, .*, got 1"
     with pytest.raises(ValueError, match=expected):
         READERS[name](folder / "frames.jsonl")
+
+
+def renumbered(lines: list[FrameLine]) -> None:
+    for line in lines:
+        line["frame"] += 1
+
+
+def with_exchanged_ids(lines: list[FrameLine]) -> None:
+    lines[0]["frame"], lines[1]["frame"] = lines[1]["frame"], lines[0]["frame"]
+
+
+def with_exchanged_times(lines: list[FrameLine]) -> None:
+    lines[0]["timestamp_ns"], lines[1]["timestamp_ns"] = lines[1]["timestamp_ns"], lines[0]["timestamp_ns"]
+
+
+def of_another_sequence(lines: list[FrameLine]) -> None:
+    lines[1]["sequence"] = "S00002"
+
+
+def without_tracks(lines: list[FrameLine]) -> None:
+    lines[1]["tracks"] = []
+
+
+def swapped(lines: list[FrameLine]) -> None:
+    lines.reverse()
+
+
+def with_another_frame(lines: list[FrameLine]) -> None:
+    lines.append(lines[-1].copy())
+    lines[-1]["frame"] = 77
+
+
+def without_the_last(lines: list[FrameLine]) -> None:
+    lines.pop()
+
+
+EDITS: tuple[Callable[[list[FrameLine]], None], ...] = (
+    renumbered,
+    with_exchanged_ids,
+    with_exchanged_times,
+    of_another_sequence,
+    without_tracks,
+    swapped,
+    with_another_frame,
+    without_the_last,
+)
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("name", READERS)
+def test_edited_frames_are_told_whatever_reads_the_run(
+    tmp_path: Path, name: str, edit: Callable[[list[FrameLine]], None]
+) -> None:
+    """Each edit leaves lines that are right by themselves: alone, without the summary, the file is taken as it is."""
+    path = write_run(tmp_path / "run", [made_up(1), made_up(2)]) / "frames.jsonl"
+    READERS[name](path)
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    edit(lines)
+    path.write_text("".join(f"{json.dumps(line, separators=(',', ':'))}\n" for line in lines))
+    with pytest.raises(ValueError, match=r"run/frames\.jsonl: expected the frames that the run wrote, .*changed since"):
+        READERS[name](path)
+    if name != "read_run":
+        (tmp_path / "alone").mkdir()
+        READERS[name](Path(shutil.copy(path, tmp_path / "alone")))
+        READERS[name](path.rename(path.with_name("copy.jsonl")))

@@ -8,9 +8,10 @@ import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.files import json_text
+from foreglow.files import file_digest, json_text
 from foreglow.folder_lock import FolderLock
 from foreglow.outputs import RESULT_NAMES, RUN, check_own, check_replaceable
 from foreglow.runs.frames_file import frame_to_line
@@ -21,6 +22,8 @@ from foreglow.whole_files import naming, partial_path
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
 """The files that get a line for every frame, with the functions that make the line."""
+
+Summary = TypeVar("Summary", RunSummary, LiveSummary)
 
 ROOM_BYTES = 1 << 16
 """Room that `OutputFolder.keep_room` keeps; configuration and summary take less than half of it."""
@@ -127,8 +130,11 @@ class OutputFolder:
                     with (parts / f"{name}.{result}").open("rb") as file:
                         shutil.copyfileobj(file, whole)
 
-    def publish(self, config: PipelineConfig, summary: RunSummary | LiveSummary) -> None:
+    def publish(self, config: PipelineConfig, summary: Summary) -> Summary:
         """Writes configuration and summary, and gives all results their final names, `summary.json` last.
+
+        Returns:
+            The summary that was written, which knows the frames.
 
         Raises:
             OSError: If that fails, or a result was removed while it was written; the message names the path.
@@ -137,6 +143,7 @@ class OutputFolder:
         for name in LINES:
             if name in self._partials and not self._partials[name].exists():
                 raise FileNotFoundError(f"{self.path / name}: expected what was written so far, it was removed")
+        summary = summary.with_frames(file_digest(self.partial("frames.jsonl")))
         self.write_text("summary.json", json_text(summary, indent=2))  # in the room that may have been kept for both
         self.write_text("config.toml", config_to_toml(config))
         for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed
@@ -151,6 +158,7 @@ class OutputFolder:
                 partial_path(self.path / name).unlink(missing_ok=True)  # of a run that was killed
         self._partials.clear()
         self._lock.release()
+        return summary
 
     def discard(self) -> None:
         """Removes what was written, and the folders made for it if nothing else is in them."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import read_config
 from foreglow.datasets.json_files import MAX_LINE_BYTES, parse_json
-from foreglow.files import bounded_lines
+from foreglow.files import bounded_lines, file_digest
 from foreglow.geometry import Floats
 from foreglow.runs.frame_line import (
     BeamEntry,
@@ -32,6 +32,7 @@ from foreglow.runs.frame_line import (
     check_boxes,
 )
 from foreglow.runs.json_lines import read_lines
+from foreglow.runs.summary_file import read_summary
 from foreglow.types import (
     BeamCommand,
     BeamMode,
@@ -322,7 +323,7 @@ def read_frame_lines(path: Path, convert: Callable[[FrameLine], T]) -> dict[int,
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form, a line contradicts itself or cannot be converted, or the accepted boxes
             are not those of the run's threshold, as when one of the two was edited; the message names the line and the
-            field.
+            field. If it is no longer what the run wrote whose `summary.json` is beside it.
     """
     threshold = own_threshold(path)
 
@@ -337,7 +338,22 @@ def read_frame_lines(path: Path, convert: Callable[[FrameLine], T]) -> dict[int,
                 raise ValueError(f"detections_xyxy_px: {expected}, got {len(accepted)}, or others")
         return convert(line)
 
-    return read_lines(path, FrameLineModel, check_and_convert)
+    values = read_lines(path, FrameLineModel, check_and_convert)
+    _check_unchanged(path)
+    return values
+
+
+def _check_unchanged(path: Path) -> None:
+    """ValueError if the `frames.jsonl` at `path` is not what the run wrote that left a `summary.json` beside it."""
+    summary = path.with_name("summary.json")
+    if path.name != "frames.jsonl" or not summary.is_file():
+        return
+    written = read_summary(summary).frames_sha256
+    if written not in (None, file_digest(path)):
+        raise ValueError(
+            f"{path}: expected the frames that the run wrote, by frames_sha256 in summary.json; the file was changed "
+            "since: make the run again, or use a copy of the file in another folder, which is taken as it is"
+        )
 
 
 def read_tracks(path: Path | str) -> Mapping[int, Tracks]:

@@ -216,6 +216,8 @@ def read_run(folder: Path | str) -> RecordedRun:
 def check_frames(folder: Path, summary: SummaryFile, results: Collection[FrameResult]) -> None:
     """Checks that the frames which were read from a run's folder are those that its summary counts.
 
+    It is for folders of earlier versions, whose summary has no digest of the frames.
+
     Raises:
         ValueError: If they are not.
     """

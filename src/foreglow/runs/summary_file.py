@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 from pydantic import ConfigDict, RootModel
 
@@ -68,6 +68,8 @@ class RunSummary(_Strict):
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
+        frames_sha256: SHA-256 of `frames.jsonl` as it was when the run ended, by which a later change is noticed; None
+            until then, and in folders of earlier versions.
         num_lost_parts: How many of these lines are about a part of the file in which there may be any number of frames.
         frame_sizes_px: Each (width, height) that occurred, in order of the first frame that had it.
         run_time_ms: Median, p95 and p99 of every stage and of `total`, the sum of a frame's stages, in milliseconds;
@@ -104,10 +106,15 @@ class RunSummary(_Strict):
     dispatch: str | None
     command: str | None = None
     num_lost_parts: int = 0
+    frames_sha256: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The fields; a `source` that is not UTF-8 is written as a URI."""
         return fields_to_json(self) | {"source": path_in_unicode(self.source)}
+
+    def with_frames(self, sha256: str) -> Self:
+        """The same of a run whose `frames.jsonl` has this SHA-256."""
+        return dataclasses.replace(self, frames_sha256=sha256)
 
 
 @dataclass(slots=True)
@@ -163,6 +170,10 @@ class LiveSummary(LivePart):
         """The form of `SummaryFile`: the fields of `run`, and all others under `live`."""
         live = fields_to_json(self)
         return {**live.pop("run"), "live": live}
+
+    def with_frames(self, sha256: str) -> Self:
+        """As `RunSummary.with_frames`."""
+        return dataclasses.replace(self, run=self.run.with_frames(sha256))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

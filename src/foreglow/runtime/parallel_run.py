@@ -143,8 +143,7 @@ def run_apart(
             dispatch=_each_once([part.dispatch for part in runs]),
             processor=_each_once([part.processor for part in runs]),
         )
-        folder.publish(config, summary)
-    return summary
+        return folder.publish(config, summary)
 
 
 def _each_once(names: Sequence[str | None]) -> str | None:

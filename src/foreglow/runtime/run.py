@@ -158,7 +158,7 @@ def run(
             num_lost_parts=len(lost_parts(source)),
         )
         if folder is not None:
-            folder.publish(pipeline.config, summary)
+            summary = folder.publish(pipeline.config, summary)
     return summary
 
 

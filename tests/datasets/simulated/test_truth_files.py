@@ -193,7 +193,7 @@ def test_unknown_sequences_and_images(whole: Path) -> None:
     with pytest.raises(ValueError, match=r"sequence: expected one of \(1, 2\), got 3"):
         truth.sequence(3)
     for image_id in (9999, 10003, 20000):
-        with pytest.raises(ValueError, match=f"S00001: image_id: expected an image of this sequence, got {image_id}"):
+        with pytest.raises(ValueError, match=rf"S00001/frames\.jsonl: expected a line about image {image_id}, got \d"):
             truth.sequence(1).frame(image_id)
 
 

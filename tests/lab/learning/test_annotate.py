@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -172,6 +173,26 @@ def test_a_record_without_checksums_is_kept(split: Path) -> None:
     before = changed(split)
     annotate_split(split, PAPER)
     assert changed(split) == before
+
+
+@pytest.mark.parametrize("name", ["num_boxes", "num_positive", "num_ignored"])
+def test_counts_that_are_not_those_of_the_files(split: Path, name: str) -> None:
+    for path in (split / "labels" / "keypoints").iterdir():  # with doubtful light, any number may be left out
+        edit(path, "doubtful", value=[])
+    annotate_split(split, PAPER)
+    record = split / "labels" / RECORD_NAME
+    text = record.read_text()
+    made = annotate_split(split, PAPER)
+    record.write_text(re.sub(rf"^{name} = \d+$", f"{name} = 50000", text, count=1, flags=re.MULTILINE))
+    before = changed(split)
+    with pytest.raises(
+        ValueError, match=rf"bounding_boxes\.toml: sequence S\d+: {name}: expected \d+, .*, got 50000; "
+    ):
+        annotate_split(split, PAPER)
+    assert changed(split) == before
+    record.unlink()
+    assert annotate_split(split, PAPER).to_json() == made.to_json()
+    assert record.read_text() == text
 
 
 def test_broken_record_is_an_error(split: Path) -> None:

@@ -17,7 +17,7 @@ from foreglow.datasets import shipped_drive
 from foreglow.lab.reports import run_page
 from foreglow.lab.reports.run_page import key_moments, write_report
 from foreglow.types import Frame
-from tests.cli.commands import foreglow_command
+from tests.cli.commands import foreglow_command, without_digest
 from tests.runs.test_recorded_run import made_up, write_run
 from tests.stand_ins import night_image, result_of
 
@@ -159,6 +159,7 @@ def test_frames_that_are_others_now(tmp_path: Path, shipped: Path) -> None:
     for name in ("summary.json", "config.toml", "times.jsonl"):
         (tmp_path / name).write_bytes((shipped / name).read_bytes())
     (tmp_path / "frames.jsonl").write_text(frames.read_text().replace('"timestamp_ns":', '"timestamp_ns":1'))
+    without_digest(tmp_path)
     page = Page(write_report(tmp_path))
     assert "expected the frames of the run, there are others now." in page.text
     assert page.pictures("jpeg") == []

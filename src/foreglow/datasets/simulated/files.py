@@ -171,12 +171,17 @@ class SequenceTruth:
     frames: tuple[FrameTruth, ...]
 
     @property
+    def path(self) -> Path:
+        """The file with its frames."""
+        return self.root / "frames.jsonl"
+
+    @property
     def directory(self) -> str:
         """Name of its folder of images, such as S00001."""
         return self.root.name
 
     def frame(self, image_id: int) -> FrameTruth:
-        """The image `image_id`; ValueError if it belongs to another sequence."""
+        """The image `image_id`; ValueError if it belongs to another sequence, or the truth ends before it."""
         return self.frames[self._frame_number(image_id)]
 
     def depth_m(self, image_id: int) -> Floats:
@@ -200,7 +205,8 @@ class SequenceTruth:
     def _frame_number(self, image_id: int) -> int:
         number = image_id - self.sequence_id * MAX_FRAMES
         if not 0 <= number < len(self.frames):
-            raise ValueError(f"{self.root}: image_id: expected an image of this sequence, got {image_id}")
+            found = f"{len(self.frames)} from image {self.sequence_id * MAX_FRAMES} on"
+            raise ValueError(f"{self.path}: expected a line about image {image_id}, got {found}")
         return number
 
 

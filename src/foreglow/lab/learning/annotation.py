@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import FrozenModel, PipelineConfig, ProposalConfig, read_toml, validated
 from foreglow.datasets import PVDN, LabelledSource, split_folder
-from foreglow.datasets.json_files import write_json
+from foreglow.datasets.json_files import read_json, write_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
@@ -314,7 +314,33 @@ def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> b
             f"{_box_file(dataset, 0).parent}: sequence {sequence.directory}: expected the boxes that "
             "annotate wrote, got changed ones; remove one of these files to have all of them made again"
         )
+    if is_current:
+        _check_counts(dataset, sequence, record)
     return is_current
+
+
+def _check_counts(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> None:
+    """Checks the counts of a sequence in the record against its files.
+
+    What was left out for doubtful light is in no file, so that its number is checked only where there is no such light.
+
+    Raises:
+        ValueError: If one is another.
+    """
+    boxes = [read_json(_box_file(dataset, image_id), BoxLabels) for image_id in sequence.image_ids]
+    has_doubtful = any(dataset.doubtful(image_id) for image_id in sequence.image_ids)
+    counts = {
+        "num_boxes": sum(len(each.labels) for each in boxes),
+        "num_positive": sum(each.labels.count(POSITIVE) for each in boxes),
+        "num_ignored": max(record.num_ignored, 0) if has_doubtful else 0,
+    }
+    for name, found in counts.items():
+        if getattr(record, name) != found:
+            raise ValueError(
+                f"{_box_file(dataset, 0).parent.with_name(RECORD_NAME)}: sequence {sequence.directory}: {name}: "
+                f"expected {found}, by its files of boxes and key points, got {getattr(record, name)}; remove it "
+                "to have all boxes made anew"
+            )
 
 
 def _box_file(dataset: PVDN, image_id: int) -> Path:

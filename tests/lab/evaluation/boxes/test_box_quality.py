@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import re
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -314,6 +315,31 @@ def test_points_that_no_box_can_find(tmp_path: Path) -> None:
     keypoints.write_text(keypoints.read_text().replace(str(position), "[500, 20]"))
     with pytest.warns(UserWarning, match=r"frames\.jsonl: 1 key points of .* outside of their image"):
         evaluate_split(split, path)
+
+
+@pytest.mark.filterwarnings("ignore:.* without predictions")
+@pytest.mark.parametrize("field", ["annotations", "instances"])
+def test_points_that_are_there_several_times(tmp_path: Path, field: str) -> None:
+    """A whole vehicle twice in its image, or one key point; one of the same instance elsewhere is another."""
+    split, path = make_pvdn(tmp_path), tmp_path / "frames.jsonl"
+    path.write_text('{"frame": 11, "proposals_xyxy_px": [[36, 29, 46, 33]], "scores": [0.9]}\n')
+    keypoints = split / "labels" / "keypoints" / "000011.json"
+    content = json.loads(keypoints.read_text())
+    (vehicle,) = content["annotations"]
+    lights = vehicle["instances"]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        before = evaluate_split(split, path)
+    assert not any("there again" in str(each.message) for each in told)
+    if field == "annotations":
+        content["annotations"] = [vehicle, vehicle]
+    else:
+        vehicle["instances"] = [*lights, *lights, lights[0] | {"pos": [1, 1]}]
+    keypoints.write_text(json.dumps(content))
+    words = rf"frames\.jsonl: {len(lights)} key points of .* that are there again, same vehicle, instance and place, "
+    with pytest.warns(UserWarning, match=words):
+        after = evaluate_split(split, path)
+    assert after.tp == 2 * before.tp > 0
 
 
 def test_relative_coordinates_are_refused(tmp_path: Path) -> None:

@@ -86,5 +86,16 @@ def test_truth_that_does_not_know_an_instance(tmp_path: Path) -> None:
     image_id = next(frame_id for frame_id in PVDN(split).frame_ids if PVDN(split).annotations(frame_id))
     path = split / "labels" / "keypoints" / f"{image_id:06d}.json"
     edit(path, "annotations", 0, "instances", 0, "iid", value=999)
-    with pytest.raises(ValueError, match="expected instance 999 of vehicle"):
+    words = rf"S00001/frames\.jsonl: image {image_id}: expected instance 999 of vehicle \d+, as the labels have it"
+    with pytest.raises(ValueError, match=words):
+        read_lights(PVDN(split))
+
+
+def test_truth_that_ends_before_the_labels(tmp_path: Path) -> None:
+    split = simulate_dataset(tmp_path, [scene(1)], drive, DatasetConfig(split="val")).root
+    path = split / "simulation" / "S00001" / "frames.jsonl"
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:-1]))
+    words = rf"frames\.jsonl: expected a line about image {9999 + len(lines)}, got {len(lines) - 1} from image 10000 on"
+    with pytest.raises(ValueError, match=words):
         read_lights(PVDN(split))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.geometry import checked_share
-from foreglow.lab.evaluation.boxes.breakdown import num_outside
+from foreglow.lab.evaluation.boxes.breakdown import num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
@@ -132,8 +132,9 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     """How well the predictions in a file explain a PVDN split.
 
     Every image of the split counts, with all its instances: direct, indirect and rear. Each must have its keypoint
-    file. Image files are not needed. A warning tells what makes the figures lower than the boxes deserve: images
-    without predictions, predictions for images that are not in the split, and key points outside their image.
+    file. Image files are not needed. A warning tells what makes the figures others than the boxes deserve: images
+    without predictions, predictions for images that are not in the split, key points outside their image, and key
+    points that the labels of an image have several times.
 
     Args:
         split: The split's folder, or a sequence's for this sequence alone.
@@ -153,10 +154,12 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     check_images(Path(predictions), found, Path(split), keypoints_px.keys())
     quality = evaluate_boxes(keypoints_px, found, least)
     outside = sum(num_outside(dataset.image(image_id), points.tolist()) for image_id, points in keypoints_px.items())
+    twins = sum(num_twins(dataset.annotations(image_id)) for image_id in keypoints_px)
     for number, words in (
         (quality.num_missing, f"images of {split} without predictions, counted as without boxes"),
         (quality.num_unknown, f"images with predictions that {split} does not have, which are ignored"),
         (outside, f"key points of {split} outside of their image, so that no box finds them"),
+        (twins, f"key points of {split} that are there again, same vehicle, instance and place, and count again"),
     ):
         if number:
             warnings.warn(f"{predictions}: {number} {words}", stacklevel=2)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import Instance, LabelledSource
+from foreglow.datasets import Instance, LabelledSource, Vehicle
 from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageRecord
 from foreglow.datasets.simulated import has_truth, read_truth
@@ -163,6 +163,7 @@ class SplitLabels:
         shares: Whose light is in the proposals; empty where that is not stored, or was not read.
         scenario_of: By image id, its sequence's scenario, such as `village`; empty where the split is not simulated.
         num_outside: Lights that lie outside their image, where no box can hold them.
+        num_twins: Lights that the labels of an image have several times, as `num_twins` counts them.
     """
 
     name: str
@@ -176,6 +177,7 @@ class SplitLabels:
     shares: SplitShares = field(default_factory=dict)
     scenario_of: Mapping[int, str] = field(default_factory=dict)
     num_outside: int = 0
+    num_twins: int = 0
 
     @property
     def keypoints_px(self) -> dict[int, NDArray[np.float64]]:
@@ -240,12 +242,19 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
             for image_id, found in lights.items()
             if found
         ),
+        num_twins=sum(num_twins(dataset.annotations(image_id)) for image_id in ids),
     )
 
 
 def num_outside(image: ImageRecord, positions_px: Iterable[Sequence[float]]) -> int:
     """How many points lie beyond the edges of their image, where no box can hold them."""
     return sum(not (0 <= x <= image.width_px and 0 <= y <= image.height_px) for x, y in positions_px)
+
+
+def num_twins(vehicles: Iterable[Vehicle]) -> int:
+    """How many light artifacts of an image are in its labels again, with the same vehicle, instance and place."""
+    lights = [(vehicle.oid, light.iid, light.position_px) for vehicle in vehicles for light in vehicle.instances]
+    return len(lights) - len(set(lights))
 
 
 def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:

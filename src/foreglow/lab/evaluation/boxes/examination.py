@@ -69,6 +69,7 @@ class Examination:
         is_complete: False if the predictions are of a run that was interrupted, or has lost frames since.
         kinds: Which kinds are taken for which; None where a run tells none or the data set stores no shares.
         num_outside: Lights that lie outside their image.
+        num_twins: Lights that the labels have several times, which count as often.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Examination:
     kinds: KindConfusion | None = None
     is_complete: bool = True
     num_outside: int = 0
+    num_twins: int = 0
 
     @property
     def share_found_ahead(self) -> float:
@@ -142,4 +144,5 @@ def examine(
         whose_light=whose_light(labels, predictions, matched, threshold),
         kinds=kind_confusion(labels, predictions, threshold),
         num_outside=labels.num_outside,
+        num_twins=labels.num_twins,
     )

@@ -9,7 +9,16 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from foreglow.datasets import LabelledSource, Vehicle
-from foreglow.datasets.simulated import KINDS, BoxShares, has_truth, read_shares, read_truth, shares_path
+from foreglow.datasets.simulated import (
+    KINDS,
+    BoxShares,
+    FrameTruth,
+    SequenceTruth,
+    has_truth,
+    read_shares,
+    read_truth,
+    shares_path,
+)
 
 LAMP, INDIRECT = "lamp", "indirect"
 """The kinds in the labels themselves; the truth of simulated sets says what indirect light is seen on."""
@@ -24,8 +33,6 @@ DIRECT_RANK = -1
 
 SplitShares: TypeAlias = Mapping[str, Mapping[int, BoxShares]]
 """Whose light is in the proposals of a split: by preset, by image id. Images without proposals have no entry."""
-
-_Known: TypeAlias = Mapping[tuple[int, int, int], tuple[float, str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,18 +71,18 @@ def read_lights(dataset: LabelledSource) -> dict[int, tuple[Light, ...]]:
 
     Raises:
         FileNotFoundError: If a file of the labels or of the truth is missing.
-        ValueError: If such a file is broken, or the truth does not have an instance of the labels.
+        ValueError: If such a file is broken, or the truth does not have an image or an instance of the labels.
     """
     selected = set(dataset.frame_ids)
     lights: dict[int, tuple[Light, ...]] = {}
     for sequence in dataset.sequences:
-        known = _known(dataset, sequence.id)
+        truth = _truth(dataset, sequence.id)
         seen: set[int] = set()  # vehicles with a direct instance so far
         for image_id in sorted(sequence.image_ids):
             vehicles = dataset.annotations(image_id)
             seen |= {vehicle.oid for vehicle in vehicles if any(light.is_direct for light in vehicle.instances)}
             if image_id in selected:
-                lights[image_id] = tuple(_ranked(_lights(image_id, sequence.id, vehicles, seen, known)))
+                lights[image_id] = tuple(_ranked(_lights(image_id, sequence.id, vehicles, seen, truth)))
     return {image_id: lights[image_id] for image_id in dataset.frame_ids}
 
 
@@ -105,30 +112,24 @@ def empty_images(dataset: LabelledSource) -> tuple[int, ...]:
     )
 
 
-def _known(dataset: LabelledSource, sequence_id: int) -> _Known | None:
-    """The range and the kind and grey of each artifact, by image, vehicle and instance; None if not simulated."""
-    if not has_truth(dataset.root):
-        return None
-    return {
-        (frame.image_id, vehicle.vehicle_id, artifact.instance_id): (vehicle.range_m, artifact.kind, artifact.grey)
-        for frame in read_truth(dataset.root).sequence(sequence_id).frames
-        for vehicle in frame.vehicles
-        for artifact in vehicle.artifacts
-    }
+def _truth(dataset: LabelledSource, sequence_id: int) -> SequenceTruth | None:
+    """What the simulator knows about a sequence; None if it is not simulated."""
+    return read_truth(dataset.root).sequence(sequence_id) if has_truth(dataset.root) else None
 
 
 def _lights(
-    image_id: int, sequence_id: int, vehicles: Sequence[Vehicle], seen: set[int], known: _Known | None
+    image_id: int, sequence_id: int, vehicles: Sequence[Vehicle], seen: set[int], truth: SequenceTruth | None
 ) -> Iterator[Light]:
+    known = {} if truth is None else _known(truth.frame(image_id))
     for vehicle in vehicles:
         for instance in vehicle.instances:
             x, y = instance.position_px
-            key = (image_id, vehicle.oid, instance.iid)
-            if known is not None and key not in known:
+            key = (vehicle.oid, instance.iid)
+            if truth is not None and key not in known:
                 what = f"instance {instance.iid} of vehicle {vehicle.oid}"
-                raise ValueError(f"image {image_id}: expected {what} in the simulator's truth")
+                raise ValueError(f"{truth.path}: image {image_id}: expected {what}, as the labels have it, got none")
             unknown = (math.nan, LAMP if instance.is_direct else INDIRECT, math.nan)
-            range_m, kind, grey = unknown if known is None else known[key]
+            range_m, kind, grey = known.get(key, unknown)
             yield Light(
                 image_id=image_id,
                 sequence_id=sequence_id,
@@ -141,6 +142,15 @@ def _lights(
                 range_m=range_m,
                 grey=grey,
             )
+
+
+def _known(frame: FrameTruth) -> Mapping[tuple[int, int], tuple[float, str, float]]:
+    """By vehicle and instance, the range, the kind and the grey of each artifact of an image."""
+    return {
+        (vehicle.vehicle_id, artifact.instance_id): (vehicle.range_m, artifact.kind, artifact.grey)
+        for vehicle in frame.vehicles
+        for artifact in vehicle.artifacts
+    }
 
 
 def _ranked(lights: Iterable[Light]) -> Iterator[Light]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_config
 from foreglow.datasets import SplitName, open_labelled, split_folder
-from foreglow.files import read_plain_json
+from foreglow.files import file_digest, read_plain_json
 from foreglow.lab.studies.progress import Progress
 
 if TYPE_CHECKING:
@@ -271,12 +271,6 @@ def yolo_note(run: YoloRun) -> str:
         f"{config.backend}, size {config.size}, {config.image_size_px} px, {config.epochs} epochs "
         f"(paper: {PAPER_YOLO}), boxes: {run.settings.boxes}, seed {config.seed}"
     )
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def split_digest(split: Path) -> str:

@@ -17,8 +17,8 @@ from pydantic import RootModel
 
 from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.files import read_plain_json, write_json_results
-from foreglow.lab.studies.detector.rows import check_given, file_digest, split_digest
+from foreglow.files import file_digest, read_plain_json, write_json_results
+from foreglow.lab.studies.detector.rows import check_given, split_digest
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
