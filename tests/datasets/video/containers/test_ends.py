@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -242,30 +241,6 @@ def test_a_header_that_is_there_twice_is_no_second_film(tmp_path: Path) -> None:
     data = path.read_bytes()
     path.write_bytes(data + data[data.index(b"moov") - 4 :])
     assert len(list(Video(path))) == NUM_FRAMES
-
-
-def chunks(*parts: tuple[bytes, bytes], is_padded: bool = True) -> bytes:
-    fill = b"\0" if is_padded else b""
-    return b"".join(name + len(data).to_bytes(4, "little") + data + fill * (len(data) % 2) for name, data in parts)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        pytest.param(lambda data: data[:4] + bytes(4) + data[8:-60], id="killed"),
-        pytest.param(lambda data: data + bytes(1000), id="zeros behind its end"),
-        pytest.param(lambda data: data + chunks((b"RIFF", b"AVIX" + chunks((b"00dc", b"123")))), id="second list"),
-    ],
-)
-@pytest.mark.parametrize("is_padded", [True, False])
-def test_avi_without_damage(tmp_path: Path, change: Callable[[bytes], bytes], *, is_padded: bool) -> None:
-    """Chunks of 0 bytes are frames that were left out; some recorders do not fill odd lengths."""
-    path = tmp_path / "clip.avi"
-    frames = [(b"00dc", bytes(length)) for length in (0, 7, 100, 0, 33, 121)]
-    movi = (b"LIST", b"movi" + chunks(*frames, is_padded=is_padded))
-    data = chunks((b"RIFF", b"AVI " + chunks((b"JUNK", bytes(10)), movi)))
-    path.write_bytes(change(data))
-    assert hole(path) is None
 
 
 def make_h265(path: Path, parameters: str) -> Path:
