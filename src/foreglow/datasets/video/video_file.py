@@ -96,8 +96,8 @@ class Video(FileSource):
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
             self._is_counted = "mp4" in container.format.name
-            # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
-            self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
+            # AVI and ASF state when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
+            self._is_reordered = container.format.name in ("avi", "asf") and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
             self._hole = hole(self.path, container.format.name)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
