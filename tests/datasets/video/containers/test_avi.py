@@ -29,6 +29,10 @@ def make_missing(path: Path, codec: str, places: tuple[tuple[int, int], ...]) ->
     return images
 
 
+def damage(data: bytes) -> list[tuple[int, int]]:
+    return avi.walk(io.BytesIO(data), len(data))[0]
+
+
 @pytest.mark.parametrize("codec", ["libx264", "mpeg4", "mjpeg", "ffv1"])
 @pytest.mark.parametrize("length", [1, 2, 60, 700, 3000])
 def test_missing_bytes_in_the_middle_are_told_and_marked(tmp_path: Path, codec: str, length: int) -> None:
@@ -65,17 +69,17 @@ def test_each_of_several_places_is_marked(tmp_path: Path) -> None:
 def test_a_cut_file_has_no_damage_in_the_middle(tmp_path: Path, codec: str) -> None:
     data = make_coded(tmp_path / "clip.avi", codec, NUM_FRAMES).read_bytes()
     for end in range(len(data) // 4, len(data), len(data) // 150):
-        assert not avi.damage(io.BytesIO(data[:end]), end)
+        assert not damage(data[:end])
 
 
 def test_a_fill_byte_that_only_one_chunk_lacks_is_a_missing_byte() -> None:
     """Of a chunk of odd length, whose fill byte then stands for its last one."""
     frames = [(b"00dc", np.random.default_rng(number).bytes(301)) for number in range(6)]
     data = chunks((b"RIFF", b"AVI " + chunks((b"LIST", b"movi" + chunks(*frames)))))
-    assert not avi.damage(io.BytesIO(data), len(data))
+    assert not damage(data)
     start = data.index(frames[3][1]) - 8
     data = data[: start + 100] + data[start + 101 :]
-    assert avi.damage(io.BytesIO(data), len(data)) == [(start, start + 8 + 301)]
+    assert damage(data) == [(start, start + 8 + 301)]
 
 
 def chunks(*parts: tuple[bytes, bytes], is_padded: bool = True) -> bytes:
@@ -106,8 +110,8 @@ def test_no_more_chunks_are_looked_at_than_are_bounded(tmp_path: Path, monkeypat
     path = tmp_path / "clip.avi"
     make_missing(path, "mjpeg", ((6, 21), (40, 22)))
     data = path.read_bytes()
-    assert len(avi.damage(io.BytesIO(data), len(data))) == 2
+    assert len(damage(data)) == 2
     monkeypatch.setattr(avi, "MAX_SPANS", 1)
-    assert len(avi.damage(io.BytesIO(data), len(data))) == 1
+    assert len(damage(data)) == 1
     monkeypatch.setattr(avi, "MAX_CHUNKS", 5)
-    assert not avi.damage(io.BytesIO(data), len(data))
+    assert not damage(data)

@@ -1,6 +1,7 @@
-"""Whether the chunks of an AVI file lie one behind the other.
+"""Whether the chunks of an AVI file lie one behind the other, and whether a second film begins behind the first.
 
-FFmpeg looks for the next chunk where it finds none, and gives the frames behind it the times of those that are missing.
+FFmpeg looks for the next chunk where it finds none, and gives the frames behind it the times of those that are missing;
+it reads a second film as if the first went on.
 Source: Microsoft, AVI RIFF file reference; OpenDML AVI file format extensions.
 """
 
@@ -33,13 +34,15 @@ def end_of(head: bytes) -> int:
     return 8 + int.from_bytes(head[4:8], "little")
 
 
-def damage(file: BinaryIO, size: int) -> list[tuple[int, int]]:
-    """Where a file of `size` bytes holds damage: half-open intervals of bytes in order, each up to the next chunk.
+def walk(file: BinaryIO, size: int) -> tuple[list[tuple[int, int]], int | None]:
+    """Where a file of `size` bytes holds damage, and where a second film begins, up to which it is looked for.
+
+    Damage is half-open intervals of bytes in order, each up to the next chunk.
 
     A recorder that was killed leaves sizes of 0, and the last chunk without its end, as a cut does; a chunk without
     data is a frame that was left out.
     """
-    return _Chunks(file, size).damage()
+    return _Chunks(file, size).walk()
 
 
 class _Chunks:
@@ -50,7 +53,7 @@ class _Chunks:
         self._names: set[bytes] = set()  # of frames and sound
         self._is_padded = False  # whether a chunk of odd length was filled
 
-    def damage(self) -> list[tuple[int, int]]:
+    def walk(self) -> tuple[list[tuple[int, int]], int | None]:
         spans: list[tuple[int, int]] = []
         position, end = 0, self._size
         for _ in range(MAX_CHUNKS):
@@ -60,6 +63,8 @@ class _Chunks:
             header = self._file.read(12)
             name, stop = header[:4], position + 8 + int.from_bytes(header[4:8], "little")
             if name == b"RIFF":
+                if position and header[8:] == b"AVI ":
+                    return spans, position
                 end = stop if position + 8 < stop <= self._size else self._size
             elif position >= end:
                 break
@@ -78,7 +83,7 @@ class _Chunks:
             if _FRAMES.fullmatch(name):
                 self._names.add(name)
             position = behind
-        return spans
+        return spans, None
 
     def _behind(self, start: int, stop: int) -> int | None:
         """Where the next chunk begins behind that from `start` to `stop`; None if this one lacks a byte.

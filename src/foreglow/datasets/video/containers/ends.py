@@ -42,6 +42,7 @@ _AVI, _MXF = "an AVI file", "an MXF file"
 
 _MXF_KEY = bytes.fromhex("060e2b34")
 _MXF_PARTITION = bytes.fromhex("060e2b34020501010d01020101")
+_MXF_HEADER = _MXF_PARTITION + b"\x02"
 
 _JPEG = b"\xff\xd8\xff"
 
@@ -110,40 +111,49 @@ def hole(path: Path, demultiplexer: str = "") -> Hole | None:
         if head[4:8] in _MP4_BEGINNINGS:
             second = _mp4(file, size)[1]
             return None if second is None else Hole((_second_film(path, second, "moov box"),))
-        if head.startswith(matroska.MAGIC):
-            _, damage, spans, film = matroska.walk(file, size)
-            lines = [] if damage is None else [_damage(path, damage, size, "a Matroska file", "an element")]
-            lines += [] if film is None else [_second_film(path, film, "header")]
-            return Hole(tuple(lines), spans, film) if lines else None
         if demultiplexer == "mjpeg":
             before = _before_pictures(path, file)
             return Hole((before,)) if before else None
-        kind, what, spans = _walked(file, size, head, demultiplexer)
-        if not spans:
-            return None
-        start = spans[0][0]
-        file.seek(start)
-        if file.read(16).startswith((_FLV, asf.HEADER)):
-            return Hole((_second_film(path, start, "header"),))
-    return Hole((_damage(path, start, size, kind, what),), spans)
+        kind, what, damage, spans, film = _walked(file, size, head, demultiplexer)
+    lines = [] if damage is None else [_damage(path, damage, size, kind, what)]
+    lines += [] if film is None else [_second_film(path, film, "header")]
+    return Hole(tuple(lines), spans, film) if lines else None
 
 
-def _walked(file: BinaryIO, size: int, head: bytes, demultiplexer: str) -> tuple[str, str, list[tuple[int, int]]]:
-    """What kind of file this is, what its parts are, and where damage is, of some kinds only the first."""
+class _Walked(NamedTuple):
+    """The kind of a file, what its parts are, where damage begins, and all damage and a second film as in `Hole`."""
+
+    kind: str
+    what: str
+    damage: int | None
+    spans: list[tuple[int, int]]
+    film: int | None = None
+
+
+def _walked(file: BinaryIO, size: int, head: bytes, demultiplexer: str) -> _Walked:
+    """What is found in a file that begins with `head`; of some kinds only the first damage."""
+    if head.startswith(matroska.MAGIC):
+        return _Walked("a Matroska file", "an element", *matroska.walk(file, size)[1:])
     if avi.is_avi(head):
-        return _AVI, "a chunk", avi.damage(file, size)
+        spans, film = avi.walk(file, size)
+        return _Walked(_AVI, "a chunk", spans[0][0] if spans else None, spans, film)
     if head.startswith(ogg.CAPTURE) or demultiplexer == "ogg":
-        return "an Ogg file", "a page", [(place, place + 1) for place in ogg.walk(file, size)[1]]
-    kind, what, first = "", "", None
+        places = ogg.walk(file, size)[1]
+        return _Walked("an Ogg file", "a page", next(iter(places), None), [(place, place + 1) for place in places])
+    kind, what, damage, film = "", "", None, None
     if head.startswith(asf.HEADER[:12]):
-        kind, what, first = "an ASF file", "a packet", asf.first_damage(file, size)
+        kind, what, damage = "an ASF file", "a packet", asf.first_damage(file, size)
     elif head.startswith(_MXF_KEY):
-        kind, what, first = _MXF, "a key", _mxf(file, size)[1]
+        kind, what, (_, damage, film) = _MXF, "a key", _mxf(file, size)
     elif head.startswith(_FLV):
-        kind, what, first = "an FLV file", "a tag", _flv_damage(file)
+        kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
     elif head.startswith(program_stream.PACK) or (demultiplexer == "mpeg" and head.startswith(bytes(4))):
-        kind, what, first = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
-    return kind, what, [] if first is None else [(first, first + 1)]
+        kind, what, damage = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
+    if damage is not None:
+        file.seek(damage)
+        if file.read(16).startswith((_FLV, asf.HEADER)):
+            damage, film = None, damage
+    return _Walked(kind, what, damage, [] if damage is None else [(damage, damage + 1)], film)
 
 
 def _damage(path: Path, position: int, size: int, kind: str, what: str) -> str:
@@ -252,8 +262,8 @@ def _first_packet(data: bytes, length: int, offset: int) -> int | None:
     return None
 
 
-def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None]:
-    """End of an MXF file's last part, and the first byte at which a part lacks its key.
+def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None, int | None]:
+    """End of an MXF file's last part, the first byte at which a part lacks its key, and where a second film begins.
 
     Source: SMPTE ST 336 (key, length, value) and ST 377-1.
     """
@@ -264,15 +274,17 @@ def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None]:
         file.seek(position)
         header = file.read(25)
         if not header.startswith(_MXF_KEY[: len(header)]):
-            return position, position
+            return position, position, None
+        if position and header.startswith(_MXF_HEADER):
+            return position, None, position
         if len(header) < 17:
-            return position + 17, None
+            return position + 17, None, None
         num_more = header[16] & 0x7F if header[16] & 0x80 else 0
         if num_more > 8:
-            return position, position
+            return position, position, None
         length = int.from_bytes(header[17 : 17 + num_more], "big") if num_more else header[16]
         position += 17 + num_more + length
-    return position, None
+    return position, None, None
 
 
 def _mxf_footer(file: BinaryIO) -> int:
