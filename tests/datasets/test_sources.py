@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from foreglow.datasets import PVDN, FrameSource, ImageFolder, Video, download_pvdn, open_labelled, open_source
 from foreglow.datasets.image_folder import natural_key
 from tests.datasets.tiny_pvdn import make_pvdn
-from tests.datasets.video.test_video_file import make_video
+from tests.datasets.video.test_video_file import NUM_FRAMES, make_video
 
 
 def _image(seed: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -261,14 +261,32 @@ def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert not (tmp_path / "data").exists()
 
 
-def test_images_of_other_formats_are_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "suffix", ["HEIC", "tga", "exr", "hdr", "pbm", "pfm", "pam", "pcx", "ras", "raw", "RAW", "j2k", "orf", "rw2"]
+)
+def test_images_of_other_formats_are_named(tmp_path: Path, suffix: str) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), _image(0))
-    (tmp_path / "b.HEIC").touch()
-    with pytest.raises(ValueError, match=r"b\.HEIC: expected an image that is PNG"):
+    (tmp_path / f"b.{suffix}").touch()
+    with pytest.raises(ValueError, match=rf"b\.{suffix}: expected an image that is PNG"):
         ImageFolder(tmp_path)
     source = ImageFolder(tmp_path, on_error="skip")
     assert len(list(source)) == 1
-    assert "b.HEIC" in source.skipped[0]
+    assert f"b.{suffix}" in source.skipped[0]
+
+
+@pytest.mark.parametrize(("suffix", "written"), [("jfif", "jpg"), ("jpe", "jpg"), ("JIF", "jpg"), ("dib", "bmp")])
+def test_other_names_of_known_formats_are_read(tmp_path: Path, suffix: str, written: str) -> None:
+    cv2.imwrite(str(tmp_path / f"a.{written}"), _image(0))
+    expected = next(iter(open_source(tmp_path / f"a.{written}"))).image
+    (tmp_path / f"a.{written}").rename(tmp_path / f"a.{suffix}")
+    for path in (tmp_path, tmp_path / f"a.{suffix}"):
+        np.testing.assert_array_equal([frame.image for frame in open_source(path)], [expected])
+
+
+def test_a_video_without_a_name_of_its_own_is_no_image(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "clip.avi")
+    path.rename(tmp_path / "clip.raw")
+    assert len(list(open_source(tmp_path / "clip.raw"))) == NUM_FRAMES
 
 
 @pytest.mark.parametrize("path", ["", None, 5, b"drive"])

@@ -20,8 +20,16 @@ from foreglow.geometry import checked_number
 from foreglow.types import Frame
 from foreglow.wording import shortened
 
+_ANY_DATA = ".raw"
+"""An ending of images without a header, and of much else, such as a video's raw stream."""
+
 OTHER_IMAGES = frozenset(
-    {".heic", ".heif", ".avif", ".jxl", ".jp2", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf"}
+    {
+        *(".heic", ".heif", ".hif", ".avif", ".jxl", ".jp2", ".j2k", ".j2c", ".jpx", ".jpf", ".jls", ".jxr", ".gif"),
+        *(".tga", ".exr", ".hdr", ".pbm", ".pfm", ".pam", ".pcx", ".ras", ".sgi", ".psd", ".qoi", ".dpx"),
+        *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".raf", ".orf", ".rw2", ".pef", ".srw"),
+        _ANY_DATA,
+    }
 )
 """Endings of images that are not read here; they are named, not passed over in silence."""
 
@@ -210,7 +218,7 @@ def _exif_time(path: Path) -> datetime | None:
 
 def is_images(path: Path) -> bool:
     """Whether `path` is a folder, or a file that is an image by its ending."""
-    return path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES | OTHER_IMAGES
+    return path.is_dir() or path.suffix.lower() in (IMAGE_SUFFIXES | OTHER_IMAGES) - {_ANY_DATA}
 
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:

@@ -58,7 +58,12 @@ def npy_words(error: BaseException) -> str:
     return "it holds something else, or other objects" if "pickle" in words else words
 
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".npy"})
+IMAGE_SUFFIXES = frozenset(
+    {
+        *(".jpg", ".jpeg", ".jpe", ".jif", ".jfif", ".bmp", ".dib"),
+        *(".png", ".tif", ".tiff", ".pgm", ".ppm", ".pnm", ".webp", ".npy"),
+    }
+)
 """Endings, in lower case, by which a file in a folder is taken for an image."""
 
 

@@ -167,6 +167,22 @@ def write_h264(path: Path, pixels: str, parameters: str) -> None:
         container.mux(stream.encode(None))
 
 
+def make_coded(path: Path, codec: str, num_frames: int, **options: str) -> Path:
+    """Noise that moves, with a key frame every `GOP` frames."""
+    noise = np.random.default_rng(1).integers(0, 255, (96, 128 + num_frames), np.uint8)
+    pixels = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    with av.open(str(path), "w", options=options) as container:
+        coding = {"x265-params": "log-level=none"} if codec == "libx265" else {}
+        stream: Any = container.add_stream(codec, rate=25, options=coding)
+        stream.width, stream.height, stream.pix_fmt, stream.gop_size = 128, 96, pixels, GOP
+        stream.bit_rate = 1_000_000
+        for index in range(num_frames):
+            view = np.ascontiguousarray(noise[:, index : index + 128])
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(view, format="gray").reformat(format=pixels)))
+        container.mux(stream.encode(None))
+    return path
+
+
 def leave_out_packet(path: Path, whole: Path, number: int) -> None:
     """Writes `whole` without one of its packets."""
     read: Any = av.open(str(whole))

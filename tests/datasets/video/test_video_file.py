@@ -103,7 +103,7 @@ def test_frames_come_one_at_a_time(clip: Path) -> None:
     assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("suffix", [".avi", ".mkv", ".mp4"])
+@pytest.mark.parametrize("suffix", [".avi", ".mkv", ".mp4", ".asf"])
 @pytest.mark.parametrize("codec", ["libx264", "mpeg2video", "mpeg4"])
 def test_pictures_that_are_decoded_in_another_order(tmp_path: Path, codec: str, suffix: str) -> None:
     path = tmp_path / f"clip{suffix}"

@@ -96,10 +96,10 @@ class Video(FileSource):
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
             self._is_counted = "mp4" in container.format.name
-            # AVI states when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
-            self._is_reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
+            # AVI and ASF state when pictures are decoded, not when they are shown; FFmpeg guesses, and guesses wrong.
+            self._is_reordered = container.format.name in ("avi", "asf") and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
-            self._hole = None if missing else hole(self.path, container.format.name)
+            self._hole = hole(self.path, container.format.name)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
         self.note = ""
@@ -109,7 +109,8 @@ class Video(FileSource):
                 f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
                 "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
             )
-        self._lost = [message for message in (self._truncation, self._hole.words if self._hole else "") if message]
+        # Where bytes are missing in the middle, the container misses them at the end, too.
+        self._lost = [*(self._hole.lines if self._hole else ()), *([self._truncation] if missing else [])]
         if self._lost and on_error == "stop":
             raise ValueError(self._lost[0])
 
@@ -130,7 +131,7 @@ class Video(FileSource):
         index, latest, sequence, reached_ns, has_begun = -1, (0, 0), "", 0, False
         try:
             with self._opened() as (container, stream):
-                whole = _Whole(container)
+                whole = _Whole(container, self._hole.film if self._hole else None)
                 is_transport = container.format.name == "mpegts"
                 losses = TransportLosses(self.path, stream.id) if is_transport else self._hole
                 for picture, is_damaged in decoded(whole, stream, losses):
@@ -220,8 +221,10 @@ class _Whole:
             shown at these times, too, in another order; who takes a picture takes the first of them.
     """
 
-    def __init__(self, container: Any) -> None:
+    def __init__(self, container: Any, film: int | None) -> None:
+        """Of a container whose second film, which is not read, begins at byte `film`; None for no such film."""
         self._container = container
+        self._film = film
         self.times: deque[int | None] = deque()
 
     def demux(self, stream: Any) -> Iterator[Any]:
@@ -230,11 +233,17 @@ class _Whole:
         Raises:
             FFmpegError: If the container cannot be read any further, or another video stream begins where it ends.
         """
+        from av import Packet
         from av.error import InvalidDataError
 
         num_others: Counter[int] = Counter()  # packets of other video streams
         num_ours: Counter[int] = Counter()  # packets of this one since each of those began
         for packet in self._container.demux(video_streams(self._container)):
+            if self._film is not None and packet.size and packet.pos is not None and packet.pos >= self._film:
+                last: Any = Packet()
+                last.stream = stream  # an empty one, for which the decoder gives its last pictures
+                yield last
+                break
             if packet.stream is stream:
                 num_ours.update(num_others.keys() if packet.size else ())
                 if packet.size:

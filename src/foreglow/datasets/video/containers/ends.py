@@ -1,18 +1,20 @@
 """What is missing of a video file by its container: at the end, or between its parts.
 
 Demultiplexers of FFmpeg end silently where a file was cut, look for the next part where they find none, and leave out a
-second film behind the first. Only where parts begin and end is looked at: their data is the decoder's to judge.
+second film behind the first, or read it as the same. Only where parts begin and end is looked at: their data is the
+decoder's to judge.
 """
 
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from foreglow.datasets.images import MAX_SIDE_PX
-from foreglow.datasets.video.containers import asf, matroska, ogg, program_stream
+from foreglow.datasets.video.containers import asf, avi, matroska, ogg, program_stream
 from foreglow.datasets.video.containers.transport import PACKETS, SYNC
 
 MAX_PARTS = 4_000_000
@@ -35,8 +37,12 @@ _Y4M_CHROMA = {
 }
 """By what width and height are divided in the further planes, and how many there are; alpha counts as one."""
 
+_AVI, _MXF = "an AVI file", "an MXF file"
+"""Whose frames have no times but by their number."""
+
 _MXF_KEY = bytes.fromhex("060e2b34")
 _MXF_PARTITION = bytes.fromhex("060e2b34020501010d01020101")
+_MXF_HEADER = _MXF_PARTITION + b"\x02"
 
 _JPEG = b"\xff\xd8\xff"
 
@@ -55,10 +61,10 @@ def missing_bytes(path: Path) -> int:
         head = file.read(12)
         if head[4:8] in _MP4_BEGINNINGS:
             end = _mp4(file, size)[0]
-        elif _is_avi(head):
-            end = 8 + int.from_bytes(head[4:8], "little")
+        elif avi.is_avi(head):
+            end = avi.end_of(head)
         elif head.startswith(matroska.MAGIC):
-            end = matroska.matroska_end(path)
+            end = matroska.end_of(file, size)
         elif head.startswith(asf.HEADER[:12]):
             end = next((stop for _, _, stop in asf.objects(file, size) if stop > size), size)
         elif head.startswith(program_stream.PACK):
@@ -75,14 +81,22 @@ def missing_bytes(path: Path) -> int:
 
 
 class Hole(NamedTuple):
-    """Damage between parts of a file: a line about the first, and at which bytes there is some."""
+    """Damage between parts of a file, or a second film in it.
 
-    words: str
-    places: Sequence[int] = ()
+    Attributes:
+        lines: For people: about the first damage, and about the second film.
+        spans: Half-open intervals of bytes with damage, in order, none within another.
+        film: At which byte the second film begins that the demultiplexer would read as if the first went on.
+    """
+
+    lines: tuple[str, ...]
+    spans: Sequence[tuple[int, int]] = ()
+    film: int | None = None
 
     def are_between(self, start: int, stop: int) -> bool:
         """Whether something is lost within these bytes of the file, as `transport.TransportLosses` says it."""
-        return any(start <= place < stop for place in self.places)
+        num_before = bisect_left(self.spans, (stop,))
+        return num_before > 0 and self.spans[num_before - 1][1] > start
 
 
 def hole(path: Path, demultiplexer: str = "") -> Hole | None:
@@ -96,39 +110,59 @@ def hole(path: Path, demultiplexer: str = "") -> Hole | None:
         head = file.read(12)
         if head[4:8] in _MP4_BEGINNINGS:
             second = _mp4(file, size)[1]
-            return None if second is None else Hole(_second_film(path, second, "moov box"))
-        places: Sequence[int] = ()
-        if head.startswith(matroska.MAGIC):
-            kind, what, damage = "a Matroska file", "an element", matroska.first_damage(path)
-        elif _is_avi(head):
-            kind, what, damage = "an AVI file", "a chunk", _avi_damage(file, size)
-        elif head.startswith(asf.HEADER[:12]):
-            kind, what, damage = "an ASF file", "a packet", asf.first_damage(file, size)
-        elif head.startswith(_MXF_KEY):
-            kind, what, damage = "an MXF file", "a key", _mxf(file, size)[1]
-        elif head.startswith(_FLV):
-            kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
-        elif head.startswith(program_stream.PACK) or (demultiplexer == "mpeg" and head.startswith(bytes(4))):
-            kind, what, damage = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
-        elif head.startswith(ogg.CAPTURE) or demultiplexer == "ogg":
-            kind, what, places = "an Ogg file", "a page", ogg.walk(file, size)[1]
-            damage = next(iter(places), None)
-        elif demultiplexer == "mjpeg":
+            return None if second is None else Hole((_second_film(path, second, "moov box"),))
+        if demultiplexer == "mjpeg":
             before = _before_pictures(path, file)
-            return Hole(before) if before else None
-        else:
-            return None
-        if damage is None:
-            return None
+            return Hole((before,)) if before else None
+        kind, what, damage, spans, film = _walked(file, size, head, demultiplexer)
+    lines = [] if damage is None else [_damage(path, damage, size, kind, what)]
+    lines += [] if film is None else [_second_film(path, film, "header")]
+    return Hole(tuple(lines), spans, film) if lines else None
+
+
+class _Walked(NamedTuple):
+    """The kind of a file, what its parts are, where damage begins, and all damage and a second film as in `Hole`."""
+
+    kind: str
+    what: str
+    damage: int | None
+    spans: list[tuple[int, int]]
+    film: int | None = None
+
+
+def _walked(file: BinaryIO, size: int, head: bytes, demultiplexer: str) -> _Walked:
+    """What is found in a file that begins with `head`; of some kinds only the first damage."""
+    if head.startswith(matroska.MAGIC):
+        return _Walked("a Matroska file", "an element", *matroska.walk(file, size)[1:])
+    if avi.is_avi(head):
+        spans, film = avi.walk(file, size)
+        return _Walked(_AVI, "a chunk", spans[0][0] if spans else None, spans, film)
+    if head.startswith(ogg.CAPTURE) or demultiplexer == "ogg":
+        places = ogg.walk(file, size)[1]
+        return _Walked("an Ogg file", "a page", next(iter(places), None), [(place, place + 1) for place in places])
+    kind, what, damage, film = "", "", None, None
+    if head.startswith(asf.HEADER[:12]):
+        kind, what, damage = "an ASF file", "a packet", asf.first_damage(file, size)
+    elif head.startswith(_MXF_KEY):
+        kind, what, (_, damage, film) = _MXF, "a key", _mxf(file, size)
+    elif head.startswith(_FLV):
+        kind, what, damage = "an FLV file", "a tag", _flv_damage(file)
+    elif head.startswith(program_stream.PACK) or (demultiplexer == "mpeg" and head.startswith(bytes(4))):
+        kind, what, damage = "an MPEG program stream", "a packet", program_stream.walk(file, size)[1]
+    if damage is not None:
         file.seek(damage)
         if file.read(16).startswith((_FLV, asf.HEADER)):
-            return Hole(_second_film(path, damage, "header"))
-    found = "damage" if damage < size else "the end of the file"
-    words = (
-        f"{path}: byte {damage}: expected {what} of {kind}, found {found}; frames may be missing from "
-        "there on, and those behind have too small numbers"
+            damage, film = None, damage
+    return _Walked(kind, what, damage, [] if damage is None else [(damage, damage + 1)], film)
+
+
+def _damage(path: Path, position: int, size: int, kind: str, what: str) -> str:
+    found = "damage" if position < size else "the end of the file"
+    numbers = "numbers and times" if kind in (_AVI, _MXF) else "numbers"
+    return (
+        f"{path}: byte {position}: expected {what} of {kind}, found {found}; frames may be missing from there on, and "
+        f"those behind have too small {numbers}"
     )
-    return Hole(words, places or [damage])
 
 
 def _second_film(path: Path, position: int, what: str) -> str:
@@ -228,58 +262,8 @@ def _first_packet(data: bytes, length: int, offset: int) -> int | None:
     return None
 
 
-def _is_avi(head: bytes) -> bool:
-    return head[:4] == b"RIFF" and head[8:12] == b"AVI "
-
-
-def _avi_damage(file: BinaryIO, size: int) -> int | None:
-    """The first byte at which an AVI file lacks a chunk. Source: Microsoft, AVI RIFF file reference; OpenDML.
-
-    A recorder that was killed leaves sizes of 0, and the last chunk without its end; a chunk without data is a frame
-    that was left out.
-    """
-    position, end = 0, size
-    for _ in range(MAX_PARTS):
-        if position + 8 > size:
-            break
-        file.seek(position)
-        header = file.read(12)
-        name, length = header[:4], int.from_bytes(header[4:8], "little")
-        stop = position + 8 + length
-        if name == b"RIFF":
-            end = stop if length and stop <= size else size
-        elif position >= end:
-            break
-        if name == b"RIFF" or header[8:12] in (b"movi", b"rec "):
-            position += 12
-            continue
-        if not _is_name(name) or (stop > size and _has(file, position + 8, name)):
-            return position
-        position = stop
-        if length % 2:
-            file.seek(stop)
-            # Some recorders leave out the byte that fills an odd length.
-            position += re.match(rb"\d\d[a-z][a-z]", file.read(4)) is None
-    return None
-
-
-def _is_name(name: bytes) -> bool:
-    return all(0x20 <= each < 0x7F for each in name)
-
-
-def _has(file: BinaryIO, position: int, name: bytes) -> bool:
-    """Whether `name` is at `position` or behind."""
-    file.seek(position)
-    kept = b""
-    while data := file.read(_PIECE):
-        if name in kept + data:
-            return True
-        kept = data[1 - len(name) :]
-    return False
-
-
-def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None]:
-    """End of an MXF file's last part, and the first byte at which a part lacks its key.
+def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None, int | None]:
+    """End of an MXF file's last part, the first byte at which a part lacks its key, and where a second film begins.
 
     Source: SMPTE ST 336 (key, length, value) and ST 377-1.
     """
@@ -290,15 +274,17 @@ def _mxf(file: BinaryIO, size: int) -> tuple[int, int | None]:
         file.seek(position)
         header = file.read(25)
         if not header.startswith(_MXF_KEY[: len(header)]):
-            return position, position
+            return position, position, None
+        if position and header.startswith(_MXF_HEADER):
+            return position, None, position
         if len(header) < 17:
-            return position + 17, None
+            return position + 17, None, None
         num_more = header[16] & 0x7F if header[16] & 0x80 else 0
         if num_more > 8:
-            return position, position
+            return position, position, None
         length = int.from_bytes(header[17 : 17 + num_more], "big") if num_more else header[16]
         position += 17 + num_more + length
-    return position, None
+    return position, None, None
 
 
 def _mxf_footer(file: BinaryIO) -> int:
