@@ -15,6 +15,7 @@ from foreglow.datasets import open_labelled, shipped_drive
 from foreglow.runs.recorded_run import read_run
 from tests.cli.commands import complaint, foreglow_command, names, without_digest
 from tests.datasets.tiny_pvdn import make_pvdn
+from tests.datasets.video.test_video_file import make_video
 
 
 @pytest.fixture(scope="module")
@@ -251,6 +252,26 @@ def test_an_evaluated_run_without_a_summary_or_all_of_its_frames(run: Path, tmp_
     (tmp_path / "alone.jsonl").write_text("".join(lines))
     said = foreglow_command("evaluate", shipped_drive(), "--predictions", tmp_path / "alone.jsonl")
     assert "incomplete" not in said.stdout
+
+
+def test_labels_of_another_video(tmp_path: Path) -> None:
+    """Their frames have the same numbers."""
+    for name, num_frames in (("a", 10), ("b", 12)):
+        make_video(tmp_path / f"{name}.mp4", num_frames=num_frames)
+        result = foreglow_command("run", tmp_path / f"{name}.mp4", "--out", tmp_path / name)
+        assert result.exit_code == 0, result.output
+    guess = tmp_path / "guess.json"
+    video = tmp_path / "a.mp4"
+    export = ("labels", "export", video, "--run", tmp_path / "a", "--format", "coco", "--out", guess)
+    for words in (export, ("labels", "import", guess, "--images", video, "--out", tmp_path / "own")):
+        result = foreglow_command(*words)
+        assert result.exit_code == 0, result.output
+    evaluate = ("evaluate", tmp_path / "own", "--predictions")
+    assert foreglow_command(*evaluate, tmp_path / "a" / "frames.jsonl").exit_code == 0
+    said = complaint(*evaluate, tmp_path / "b" / "frames.jsonl")
+    assert f"{tmp_path / 'own'}: expected the labels of what {tmp_path / 'b'} was made from" in said
+    video.rename(tmp_path / "moved.mp4")
+    assert foreglow_command(*evaluate, tmp_path / "a" / "frames.jsonl").exit_code == 0
 
 
 def test_names_that_are_not_utf_8(tmp_path: Path) -> None:

@@ -72,9 +72,11 @@ def import_(
 ) -> None:
     """Make a data set of labels and their images, which every command takes."""
     from foreglow.datasets import exchange
+    from foreglow.runs.origin import origin_digest
 
     dataset = exchange.LabelFile(source, images)
-    exchange.write_split(dataset, out)
+    is_video = images is not None and images.is_file()
+    exchange.write_split(dataset, out, origin_digest(images) if is_video else None)
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:

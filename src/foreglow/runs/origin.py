@@ -9,7 +9,9 @@ from pathlib import Path
 
 from foreglow.datasets import FrameSource, origin_of
 from foreglow.datasets.exchange import is_labels
+from foreglow.datasets.exchange.transfer import ORIGIN
 from foreglow.datasets.images import IMAGE_SUFFIXES
+from foreglow.datasets.pvdn.labels import read_labels
 from foreglow.datasets.pvdn.splits import find_split, is_pvdn
 from foreglow.files import MIB
 from foreglow.outputs import exists
@@ -59,6 +61,14 @@ def digests_of(labelled: Path) -> set[str]:
         split = find_split(labelled)[0]
         paths += [split, *(split / "images").glob("*/")]
     return {digest for path in paths if (digest := origin_digest(path)) is not None}
+
+
+def stated_origin(labelled: Path) -> str | None:
+    """The digest of the video that labels at `labelled` were imported for; None if they do not say so."""
+    if not is_pvdn(labelled):
+        return None
+    found = read_labels(find_split(labelled)[0]).images_file.info.get(ORIGIN)
+    return found if isinstance(found, str) else None
 
 
 def _images_in(path: Path) -> Iterator[tuple[bytes, int]]:

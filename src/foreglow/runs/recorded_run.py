@@ -22,7 +22,7 @@ from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.own_files import COCO_RESULTS, TABLE, FileKind
 from foreglow.runs.frame_line import FrameLine
 from foreglow.runs.frames_file import line_to_result, read_frame_lines
-from foreglow.runs.origin import digests_of, origin_digest
+from foreglow.runs.origin import digests_of, origin_digest, stated_origin
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import BeamMode, Frame, FrameResult, TrackState
@@ -281,16 +281,21 @@ def doubt_about_source(run: Path, source: Path) -> str | None:
 def check_labels(run: Path, labelled: Path) -> None:
     """Checks that labels are for what the run in `run` was made from, or a part of it, or more; as far as it says so.
 
-    Labels of the frames of a video or of a plain folder have copies of their images, so only runs on a data set tell.
+    Labels of the frames of a video have copies of their images, but know the video; those of a plain folder know
+    nothing of it.
 
     Raises:
         ValueError: If they are for other images, or the run's summary is broken.
     """
     path = run / "summary.json"
     summary = read_summary(path) if path.is_file() else None
-    if summary is None or summary.source_digest is None or not is_pvdn(Path(summary.source)):
+    if summary is None or summary.source_digest is None:
         return
-    digests = digests_of(labelled)
+    if is_pvdn(Path(summary.source)):
+        digests = digests_of(labelled)
+    else:
+        origin = stated_origin(labelled)
+        digests = set() if origin is None else {origin}
     if digests and summary.source_digest not in digests:
         raise ValueError(f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others")
 

@@ -26,6 +26,9 @@ from foreglow.whole_files import write_atomic
 _HIDDEN = ".import.partial"
 """Folder for a split until all of it is written."""
 
+ORIGIN = "origin"
+"""The field of a set's `info` with the digest of the video that its images are of."""
+
 _OWN = {"id", "directory", "image_ids", "num_images"}
 """Fields of a sequence that its images say."""
 
@@ -155,10 +158,15 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     return Counter(labels.lost) + lost
 
 
-def write_split(dataset: LabelledSource, root: Path) -> int:
+def write_split(dataset: LabelledSource, root: Path, origin: str | None = None) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 
     Images and labels appear when all are written; what a killed process has left of them is removed by the next one.
+
+    Args:
+        dataset: The data set.
+        root: The folder of the split.
+        origin: By what the video that it is of is known, for its `info`; None without one.
 
     Raises:
         ValueError: If an image or its labels cannot be used, `root` holds images or labels already, or another run is
@@ -170,7 +178,7 @@ def write_split(dataset: LabelledSource, root: Path) -> int:
         hidden = root / _HIDDEN
         shutil.rmtree(hidden, ignore_errors=True)  # of a run that was killed
         try:
-            num_images = _write_sequences(dataset, hidden, root)
+            num_images = _write_sequences(dataset, hidden, root, origin)
             for part in ("images", "labels"):
                 _remove_empty(root / part)
                 (hidden / part).rename(root / part)
@@ -186,10 +194,11 @@ def _remove_empty(folder: Path) -> None:
             each.rmdir()
 
 
-def _write_sequences(dataset: LabelledSource, folder: Path, root: Path) -> int:
+def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origin: str | None) -> int:
     """As `write_split`, into `folder`, which becomes `root`."""
     num_images = 0
-    with PVDNWriter(folder, info={"rate_hz": dataset.rate_hz}, name=root) as writer:
+    info = {"rate_hz": dataset.rate_hz} | ({} if origin is None else {ORIGIN: origin})
+    with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
             pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)
