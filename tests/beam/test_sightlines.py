@@ -29,13 +29,33 @@ def test_a_small_box_far_away_is_seen_as_by_the_camera(camera: Camera) -> None:
     np.testing.assert_allclose(spans, np.repeat(expected[:, np.newaxis], 2, 1), atol=1e-6)
 
 
-def test_outside_the_image_is_its_border() -> None:
+@pytest.mark.parametrize("roll_rad", [0.0, 0.5])
+@pytest.mark.parametrize(
+    "box", [[-500, 100, -20, 200], [1200, 900, 1900, 1300], [-90, -90, 1400, 1100], [600, -300, 640, 9]]
+)
+def test_what_lies_beyond_the_image_is_inside_too(box: list[float], roll_rad: float) -> None:
+    """The tracker may expect a vehicle there, or a part of it."""
     lines = Sightlines(LAMPS_M, guard_config())
-    boxes = np.array([[-500.0, 100.0, -20.0, 200.0], [1200.0, 900.0, 5000.0, 1e9], [-9.0, -9.0, 2000.0, 2000.0]])
-    ranges_m = np.full(3, 60.0)
-    outside, _ = lines.spans_rad(CAMERA, boxes, ranges_m, ranges_m / 10)
-    borders, _ = lines.spans_rad(CAMERA, np.clip(boxes, 0, [1280, 960, 1280, 960]), ranges_m, ranges_m / 10)
-    np.testing.assert_array_equal(outside, borders)
+    pose = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.0, 0.0, roll_rad))
+    camera = Camera(1280, 960, (1100.0, 1100.0), (640.0, 480.0), (0.0,) * 5, pose)
+    (spans,), _ = lines.spans_rad(camera, np.array([box], float), np.array([60.0]), np.array([1e-6]))
+    pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (300, 2))
+    points_m = pose.position_m + camera.rays(pixels) @ pose.rotation.T * 60.0
+    for lamp_m, span in zip(LAMPS_M, spans, strict=True):
+        x, y, z = (points_m - lamp_m).T
+        azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+        assert azimuths.min() > span[0] - 2e-3
+        assert azimuths.max() < span[1] + 2e-3
+        assert elevations.min() > span[2] - 2e-3
+        assert elevations.max() < span[3] + 2e-3
+
+
+def test_a_box_far_beyond_the_image_ends_at_a_right_angle() -> None:
+    lines = Sightlines(LAMPS_M, guard_config())
+    boxes = np.array([[-1e9, 100.0, -20.0, 200.0], [1200.0, 900.0, 5000.0, 1e9]])
+    spans, _ = lines.spans_rad(CAMERA, boxes, np.full(2, 60.0), np.full(2, 6.0))
+    assert np.isfinite(spans).all()
+    assert np.abs(spans).max() < math.pi
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)

@@ -110,7 +110,8 @@ class Guard:
             )
             limits_cd = self._limits_cd[np.searchsorted(self._limit_ranges_m, nearest_m, side="right") - 1]
             levels = dimmed(levels, self._bounds.towards(spans_rad), limits_cd)
-            borders_rad = np.stack([spans_rad[:, :, 0].min(axis=1), spans_rad[:, :, 1].max(axis=1)], axis=1)
+            right_rad, left_rad = spans_rad[:, :, 0].min(axis=1), spans_rad[:, :, 1].max(axis=1)
+            borders_rad = np.stack([right_rad, np.maximum(left_rad, np.nextafter(right_rad, np.inf))], axis=1)
             gaps_rad, gap_ranges_m = united(
                 np.concatenate([gaps_rad, borders_rad]), np.concatenate([gap_ranges_m, ranges_m])
             )

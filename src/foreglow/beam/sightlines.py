@@ -12,6 +12,10 @@ _CORNERS = np.array([(0, 1), (2, 1), (0, 3), (2, 3)])
 """Indices of x and y of each corner in a box x1, y1, x2, y2."""
 
 
+ASIDE = 0.2
+"""Farther aside, the elevation of what is equally high in the image nears 0: by less than this share of the angle."""
+
+
 class Sightlines:
     """The directions from two lamps to whatever the camera sees in boxes."""
 
@@ -28,7 +32,8 @@ class Sightlines:
 
         Args:
             camera: The camera.
-            boxes_xyxy_px: Shape (M, 4); clipped to the image.
+            boxes_xyxy_px: Shape (M, 4); what lies beyond the image counts with the angles of pixels in its middle, the
+                largest without distortion, up to a right angle.
             ranges_m: Shape (M,), from the camera; NaN where unknown: then any range is possible.
             sigmas_m: Shape (M,), standard deviations.
 
@@ -61,4 +66,15 @@ class Sightlines:
         np.maximum.reduce(azimuths, axis=(1, 3), out=spans[..., 1])
         np.minimum.reduce(np.arctan2(z, forward), axis=(1, 3), out=spans[..., 2])
         np.maximum.reduce(np.arctan2(eyes, forward), axis=(1, 3), out=spans[..., 3])
-        return spans, nearest_m
+        return spans + _beyond_rad(camera, boxes_xyxy_px)[:, np.newaxis], nearest_m
+
+
+def _beyond_rad(camera: Camera, boxes_xyxy_px: Floats) -> Floats:
+    """By how much boxes that reach beyond the image extend their spans, shape (M, 4), as these."""
+    x1, y1, x2, y2 = boxes_xyxy_px.T
+    (focal_x, focal_y), roll_sine = camera.focal_px, abs(camera.vehicle_from_camera.rotation[2, 1])
+    left, right = np.maximum(-x1, 0.0) / focal_x, np.maximum(x2 - camera.width_px, 0.0) / focal_x
+    top, bottom = np.maximum(-y1, 0.0) / focal_y, np.maximum(y2 - camera.height_px, 0.0) / focal_y
+    across, upright = (roll_sine + ASIDE) * (left + right), roll_sine * (top + bottom)
+    beyond = np.stack([-right - upright, left + upright, -bottom - across, top + across], axis=1)
+    return np.clip(beyond, -np.pi / 2, np.pi / 2)

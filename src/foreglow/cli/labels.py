@@ -75,8 +75,7 @@ def import_(
     from foreglow.runs.origin import origin_digest
 
     dataset = exchange.LabelFile(source, images)
-    is_video = images is not None and images.is_file()
-    exchange.write_split(dataset, out, origin_digest(images) if is_video else None)
+    exchange.write_split(dataset, out, origin_digest(images) if images is not None and images.is_file() else None)
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
