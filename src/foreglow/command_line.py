@@ -102,6 +102,11 @@ def folder(text: str, *names: str) -> Any:
     return _with_role(file(text, *names, metavar="DIR"), "output folder")
 
 
+def shared_folder(text: str, *names: str) -> Any:
+    """As `folder`, of one into which several commands may write at a time."""
+    return _with_role(file(text, *names, metavar="DIR"), "shared folder")
+
+
 def _with_role(info: Any, role: str) -> Any:
     info.role = role
     return info
@@ -141,7 +146,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
     Each parameter whose type is a dataclass becomes one option per field. In the help, the options of such a group
     stand together, under the first line of the dataclass's docstring. No file or folder that the command writes may be
-    one that it reads, and a folder that it writes into is locked while it runs.
+    one that it reads, and a folder that it writes into is locked while it runs, unless it is shared.
     """
     hints = typing.get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
@@ -154,14 +159,14 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(function)
     def command(**values: Any) -> None:
-        inputs, files, folders = (
+        inputs, files, folders, shared = (
             _labelled((_label(name, infos[name][0]), path) for name, path in _paths(values, roles, role))
-            for role in ("input", "output file", "output folder")
+            for role in ("input", "output file", "output folder", "shared folder")
         )
         inputs |= named_by(inputs)
         kinds = {_label(name, info[0]): info[0].kind for name, info in infos.items() if roles[name] == "output file"}
         with running(_command_of(function), inputs):
-            check_outputs(inputs, files, folders)
+            check_outputs(inputs, files, folders | shared)
             check_kinds(files, kinds)
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})

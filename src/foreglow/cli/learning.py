@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from foreglow.cli.app import app
-from foreglow.command_line import argument, file, folder, option, output_file, with_options
+from foreglow.command_line import argument, file, folder, option, output_file, shared_folder, with_options
 from foreglow.folder_lock import locked
 from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WorkerOptions
 from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own
@@ -192,7 +192,7 @@ def train(
     ] = None,
     config: ConfigOption = None,
     device: DeviceOption = "auto",
-    cache: Annotated[Path | None, folder("Folder for the samples (default: in that of the model).")] = None,
+    cache: Annotated[Path | None, shared_folder("Folder for the samples (default: in that of the model).")] = None,
 ) -> None:
     """Train a classifier of light artifacts on DATA, and write it as an ONNX model for `run --model`."""
     from foreglow.config import PRESETS

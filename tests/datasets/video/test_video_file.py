@@ -378,3 +378,28 @@ def test_frames_without_a_time_follow_at_the_rate(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr("foreglow.datasets.video.video_file.decoded", untimed)
     assert [frame.timestamp_ns for frame in Video(path)] == [40_000_000 * index for index in range(NUM_FRAMES)]
+
+
+@pytest.mark.parametrize(("size_px", "rate_hz", "frame_bytes"), [((720, 576), 25, 144_000), ((720, 480), 30, 120_000)])
+def test_raw_dv(tmp_path: Path, size_px: tuple[int, int], rate_hz: int, frame_bytes: int) -> None:
+    """FFmpeg takes it for 60,000 Hz, and makes a whole picture of the beginning of one."""
+    path = tmp_path / "night.dv"
+    with av.open(str(path), "w", format="dv") as container:
+        stream: Any = container.add_stream("dvvideo", rate=Fraction(30_000, 1001) if rate_hz == 30 else rate_hz)
+        stream.width, stream.height = size_px
+        stream.pix_fmt = "yuv420p" if rate_hz == 25 else "yuv411p"
+        for index in range(4):
+            image = np.full((size_px[1], size_px[0]), 20 * index, np.uint8)
+            container.mux(
+                stream.encode(av.VideoFrame.from_ndarray(image, format="gray").reformat(format=stream.pix_fmt))
+            )
+        container.mux(stream.encode(None))
+    whole = path.read_bytes()
+    assert len(whole) == 4 * frame_bytes
+    video = Video(path)
+    assert video.rate_hz == pytest.approx(rate_hz, rel=0.01)
+    assert len(list(video)) == 4
+    for num_bytes in (1, frame_bytes // 2, frame_bytes - 1):
+        path.write_bytes(whole + whole[:num_bytes])
+        with pytest.raises(ValueError, match=f"night.dv: truncated video, {frame_bytes - num_bytes} bytes are missing"):
+            list(Video(path))

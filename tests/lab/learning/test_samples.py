@@ -178,6 +178,25 @@ def test_the_cache_holds_the_same_and_is_used(own: PVDN, tmp_path: Path, monkeyp
     assert [path.name for path in (tmp_path / "cache").iterdir()] == [first.digest[:16]]
 
 
+def test_two_trainings_make_the_same_samples_at_once(
+    own: PVDN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each makes them, as none are there when it begins; the second to end takes those of the first."""
+    made: list[Any] = []
+
+    def meanwhile(*_: object) -> None:
+        if not made:
+            made.append("begun")
+            with monkeypatch.context() as other:
+                other.setattr(os, "getpid", lambda: 1)
+                made.append(cached_samples(own, SampleConfig(), tmp_path / "cache"))
+
+    samples = cached_samples(own, SampleConfig(), tmp_path / "cache", meanwhile)
+    assert len(made) == 2
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+    np.testing.assert_array_equal(samples.crops, made[1].crops)
+
+
 def test_whatever_matters_changes_the_digest(own: PVDN) -> None:
     digests = [samples_digest(own, PLAIN), samples_digest(own, JITTERED)]
     other = PLAIN.model_copy(update={"proposals": CONFIG.model_copy(update={"kappa": 0.5})})

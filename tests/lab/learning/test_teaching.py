@@ -13,6 +13,7 @@ pytest.importorskip("onnx")
 
 from foreglow.classifier import FEATURES, InputSpec  # noqa: E402
 from foreglow.lab.learning.batches import kind_targets  # noqa: E402
+from foreglow.lab.learning.checkpoints import check_begun  # noqa: E402
 from foreglow.lab.learning.model_export import write_model  # noqa: E402
 from foreglow.lab.learning.networks import CompactNetwork, RelatedNetwork  # noqa: E402
 from foreglow.lab.learning.recipes import changed  # noqa: E402
@@ -108,8 +109,22 @@ def test_another_teaching_does_not_go_on(tmp_path: Path) -> None:
     recipe = changed(RECIPE, {"epochs": 1})
     said = kind_targets(learnt, 1.0)
     train(recipe, learnt, unseen, tmp_path, taught=said, device="cpu")
-    with pytest.raises(ValueError, match="taught"):
+    with pytest.raises(ValueError, match=r"checkpoint\.pt: teachers: expected that of the training begun here"):
         train(recipe, learnt, unseen, tmp_path, taught=said[::-1], device="cpu")
+
+
+def test_a_training_with_teachers_goes_on(tmp_path: Path) -> None:
+    """Also by the recipe alone, which is looked at before samples are made."""
+    learnt, unseen = samples_of(20, 1), samples_of(5, 2)
+    said = kind_targets(learnt, 1.0)
+    recipe = changed(RECIPE, {"epochs": 1})
+    train(recipe, learnt, unseen, tmp_path, taught=said, device="cpu")
+    check_begun(tmp_path, recipe.model_dump(mode="json"))
+    assert len(train(recipe, learnt, unseen, tmp_path, taught=said, device="cpu").epochs) == 1
+    with pytest.raises(
+        ValueError, match=r"checkpoint\.pt: taught: expected that of the training begun here, 0\.8, got"
+    ):
+        check_begun(tmp_path, changed(recipe, {"taught": 0.5}).model_dump(mode="json"))
 
 
 def test_teachers_that_read_something_else(tmp_path: Path) -> None:

@@ -93,6 +93,8 @@ class Video(FileSource):
             stated: Fraction | None = stream.codec_context.framerate if self._is_raw else None
             is_stated = stated is not None and 1 <= stated <= MAX_RATE_HZ
             rate: Fraction | None = stated if is_stated else stream.average_rate
+            if rate and rate > MAX_RATE_HZ:  # as of raw DV
+                rate = stream.guessed_rate
             self._rate = rate if rate else None
             self.num_frames = _num_frames(stream)
             self._is_counted = "mp4" in container.format.name

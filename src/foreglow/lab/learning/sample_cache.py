@@ -67,10 +67,12 @@ def cached_samples(
         about |= {"config": config.model_dump(mode="json"), "checksums": _checksums(partial)}
         with naming(partial / _DONE):
             (partial / _DONE).write_text(json.dumps(about, indent=2) + "\n")
-        shutil.rmtree(folder, ignore_errors=True)
-        if folder.is_file():
-            folder.unlink()
-        partial.rename(folder)
+        if _read(folder, digest) is None:  # or else another training has made the same meanwhile
+            shutil.rmtree(folder, ignore_errors=True)
+            if folder.is_file():
+                folder.unlink()
+            partial.rename(folder)
+        shutil.rmtree(partial, ignore_errors=True)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise

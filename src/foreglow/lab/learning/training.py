@@ -141,7 +141,7 @@ def train(
     if teacher is not None:
         identity["teacher"] = [teacher.weight, int(teacher.is_told.sum())]
     if taught is not None:
-        identity["taught"] = hashlib.sha256(np.ascontiguousarray(taught).data).hexdigest()
+        identity["teachers"] = hashlib.sha256(np.ascontiguousarray(taught).data).hexdigest()
     checkpoint = read_checkpoint(folder, identity)
     with torch.random.fork_rng(devices=range(torch.cuda.device_count()) if chosen.type == "cuda" else []):
         trainer = _Trainer(recipe, train_samples, make_network or recipe_network, teacher, taught, chosen)

@@ -46,6 +46,9 @@ _MXF_HEADER = _MXF_PARTITION + b"\x02"
 
 _JPEG = b"\xff\xd8\xff"
 
+_DV, _DV_PAL_BYTES, _DV_NTSC_BYTES = b"\x1f\x07\x00", 144_000, 120_000
+"""How a raw DV file begins, and the bytes of a frame, or of each of several parts of one (IEC 61834-2, SMPTE 314M)."""
+
 _FLV = b"FLV\x01"
 _FLV_TAGS = (8, 9, 15, 18)  # sound, video, script data; the bits above say whether it is encrypted
 
@@ -65,6 +68,9 @@ def missing_bytes(path: Path) -> int:
             end = avi.end_of(head)
         elif head.startswith(matroska.MAGIC):
             end = matroska.end_of(file, size)
+        elif head.startswith(_DV):
+            frame = _DV_PAL_BYTES if head[3] & 0x80 else _DV_NTSC_BYTES
+            end = -(-size // frame) * frame
         elif head.startswith(asf.HEADER[:12]):
             end = next((stop for _, _, stop in asf.objects(file, size) if stop > size), size)
         elif head.startswith(program_stream.PACK):
