@@ -234,7 +234,9 @@ def doubled_text(path: Path) -> None:
     letter = helper.make_node("Constant", [], ["a0"], value=helper.make_tensor("", TensorProto.STRING, [1], [b"x"]))
     names = [f"a{k}" for k in range(34)]
     doubled = [helper.make_node("StringConcat", [a, a], [b]) for a, b in itertools.pairwise(names)]
-    onnx_model(path, [letter, *doubled, *added_to_mean(helper.make_node("Equal", [names[-1]] * 2, ["extra"]))], opset=20)
+    onnx_model(
+        path, [letter, *doubled, *added_to_mean(helper.make_node("Equal", [names[-1]] * 2, ["extra"]))], opset=20
+    )
 
 
 def expanded_text(path: Path) -> None:
@@ -247,7 +249,8 @@ def expanded_text(path: Path) -> None:
         helper.make_node("Constant", [], ["shape"], value_ints=[200_000]),
     ]
     expanded = helper.make_node("Expand", ["text", "shape"], ["texts"])
-    onnx_model(path, [*constants, expanded, *added_to_mean(helper.make_node("Equal", ["texts", "text"], ["extra"]))])
+    equal = helper.make_node("Equal", ["texts", "text"], ["extra"])
+    onnx_model(path, [*constants, expanded, *added_to_mean(equal)], opset=20)
 
 
 def split_nothing(path: Path) -> None:

@@ -18,9 +18,9 @@ from foreglow.models import BUNDLED, model_path
 
 onnx = pytest.importorskip("onnx")
 
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
-TEXT = helper.make_tensor("text", TensorProto.STRING, [1], [b"x"])
+TEXT = onnx.TensorProto(name="text", data_type=TensorProto.STRING, dims=[1], string_data=[b"x"])
 SPARSE = helper.make_sparse_tensor(
     helper.make_tensor("values", TensorProto.FLOAT, [1], [1.0]),
     helper.make_tensor("indices", TensorProto.INT64, [1], [0]),
@@ -121,7 +121,7 @@ def test_a_graph_in_a_field_that_others_read_as_the_graph() -> None:
     graph = model_of(node("SplitToSequence", "logits")).graph.SerializeToString()
     key = bytes([0x3A | 0x80, 0x80, 0x80, 0x80, 0x10])  # field 7 + 2^29
     size = bytes([len(graph) & 0x7F | 0x80, len(graph) >> 7])
-    with pytest.raises(ValueError, match="expected an ONNX model that can be run: field .*: expected a number"):
+    with pytest.raises(ValueError, match=r"expected an ONNX model that can be run: field .*: expected a number"):
         check_operations(memoryview(key + size + graph))
 
 

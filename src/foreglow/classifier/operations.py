@@ -94,7 +94,9 @@ def _checked_node(node: memoryview) -> list[memoryview]:
             attributes.append(content)
     for name in names:
         if name not in OPERATIONS:
-            raise ValueError(f"expected a model of operations on numbers, without loops, got the operation {shortened(name)}")
+            raise ValueError(
+                f"expected a model of operations on numbers, without loops, got the operation {shortened(name)}"
+            )
     branches = []
     for attribute in attributes:
         for number, value in _fields(attribute):

@@ -175,9 +175,11 @@ class BothNetwork(nn.Module):
     def forward(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> Tensor:
         """The logits of each crop; arguments are those of `RelatedNetwork`."""
         logits: Tensor = self.alone(crops, features[:, : self.NUM_FEATURES_ALONE]).clone()
-        frames = [len(crops)] if sizes is None else list(sizes)
+        frames = [size for size in ([len(crops)] if sizes is None else sizes) if size]
+        if not frames:
+            return logits
         lights = torch.split(light_of(logits.detach()), frames)
-        are_shown = [light >= light.clamp(max=self.LEAST_LOGIT).amax() if len(light) else light > 0 for light in lights]
+        are_shown = [light >= light.max().clamp(max=self.LEAST_LOGIT) for light in lights]
         is_shown = torch.cat(are_shown)
         related = self.related(crops[is_shown], features[is_shown], [int(each.sum()) for each in are_shown])
         logits[is_shown] = (logits[is_shown] + related) / 2
