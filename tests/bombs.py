@@ -231,7 +231,8 @@ def doubled_text(path: Path) -> None:
     """A letter is joined to itself 33 times."""
     from onnx import TensorProto, helper
 
-    letter = helper.make_node("Constant", [], ["a0"], value=helper.make_tensor("", TensorProto.STRING, [1], [b"x"]))
+    text = TensorProto(data_type=TensorProto.STRING, dims=[1], string_data=[b"x"])
+    letter = helper.make_node("Constant", [], ["a0"], value=text)
     names = [f"a{k}" for k in range(34)]
     doubled = [helper.make_node("StringConcat", [a, a], [b]) for a, b in itertools.pairwise(names)]
     onnx_model(
@@ -243,7 +244,7 @@ def expanded_text(path: Path) -> None:
     """200,000 texts of 20,000 letters."""
     from onnx import TensorProto, helper
 
-    text = helper.make_tensor("", TensorProto.STRING, [1], [b"x" * 20_000])
+    text = TensorProto(data_type=TensorProto.STRING, dims=[1], string_data=[b"x" * 20_000])
     constants = [
         helper.make_node("Constant", [], ["text"], value=text),
         helper.make_node("Constant", [], ["shape"], value_ints=[200_000]),

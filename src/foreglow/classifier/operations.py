@@ -30,7 +30,7 @@ OPERATIONS = frozenset(
         "Round Scatter ScatterElements ScatterND Selu Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus "
         "Softsign SpaceToDepth Split Sqrt Squeeze Sub Sum Swish Tan Tanh ThresholdedRelu Tile TopK Transpose Trilu "
         "Unsqueeze Upsample Where Xor"
-    ).split()
+    ).split()  # noqa: SIM905
 )
 """Those of ONNX's own domain that a network may need and that neither repeat others nor make anything but numbers."""
 
