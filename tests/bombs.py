@@ -206,14 +206,14 @@ def changed(content: str, **fields: str) -> str:
     return "\n".join([*lines, *(f"{name} = {value}" for name, value in fields.items()), ""])
 
 
-def onnx_model(path: Path, nodes: list[Any], functions: tuple[Any, ...] = ()) -> None:
+def onnx_model(path: Path, nodes: list[Any], functions: tuple[Any, ...] = (), opset: int = 17) -> None:
     """A model of crops with these nodes, of which the last gives the logits."""
     from onnx import TensorProto, helper
 
     crops = helper.make_tensor_value_info("crops", TensorProto.FLOAT, ["N", 1, 64, 64])
     logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["N"])
     graph = helper.make_graph(nodes, "graph", [crops], [logits])
-    imports = [helper.make_opsetid("", 17), helper.make_opsetid("own", 1)]
+    imports = [helper.make_opsetid("", opset), helper.make_opsetid("own", 1)]
     model = helper.make_model(graph, opset_imports=imports, functions=functions, ir_version=8)
     path.write_bytes(model.SerializeToString())
 
@@ -225,6 +225,60 @@ def huge_tensor(path: Path) -> None:
     names = ["crops", *(f"a{k}" for k in range(30))]
     doubled = [helper.make_node("Concat", [a, a], [b], axis=1) for a, b in itertools.pairwise(names)]
     onnx_model(path, [*doubled, helper.make_node("ReduceMean", [names[-1]], ["logits"], axes=[1, 2, 3], keepdims=0)])
+
+
+def doubled_text(path: Path) -> None:
+    """A letter is joined to itself 33 times."""
+    from onnx import TensorProto, helper
+
+    text = TensorProto(data_type=TensorProto.STRING, dims=[1], string_data=[b"x"])
+    letter = helper.make_node("Constant", [], ["a0"], value=text)
+    names = [f"a{k}" for k in range(34)]
+    doubled = [helper.make_node("StringConcat", [a, a], [b]) for a, b in itertools.pairwise(names)]
+    onnx_model(
+        path, [letter, *doubled, *added_to_mean(helper.make_node("Equal", [names[-1]] * 2, ["extra"]))], opset=20
+    )
+
+
+def expanded_text(path: Path) -> None:
+    """200,000 texts of 20,000 letters."""
+    from onnx import TensorProto, helper
+
+    text = TensorProto(data_type=TensorProto.STRING, dims=[1], string_data=[b"x" * 20_000])
+    constants = [
+        helper.make_node("Constant", [], ["text"], value=text),
+        helper.make_node("Constant", [], ["shape"], value_ints=[200_000]),
+    ]
+    expanded = helper.make_node("Expand", ["text", "shape"], ["texts"])
+    equal = helper.make_node("Equal", ["texts", "text"], ["extra"])
+    onnx_model(path, [*constants, expanded, *added_to_mean(equal)], opset=20)
+
+
+def split_nothing(path: Path) -> None:
+    """A sequence of 40 million tensors, all without elements."""
+    from onnx import helper
+
+    nodes = [
+        helper.make_node("Constant", [], ["shape"], value_ints=[40_000_000, 0]),
+        helper.make_node("ConstantOfShape", ["shape"], ["empty"]),
+        helper.make_node("SplitToSequence", ["empty"], ["sequence"], axis=0),
+    ]
+    onnx_model(path, [*nodes, *added_to_mean(helper.make_node("SequenceLength", ["sequence"], ["extra"]))])
+
+
+def added_to_mean(node: Any) -> list[Any]:
+    """Nodes that give the logits, of a node that gives something extra."""
+    from onnx import TensorProto, helper
+
+    return [
+        node,
+        helper.make_node("Cast", ["extra"], ["number"], to=TensorProto.FLOAT),
+        helper.make_node("ReduceMax", ["number"], ["greatest"], keepdims=0),
+        helper.make_node("Flatten", ["crops"], ["pixels"]),
+        helper.make_node("ArgMax", ["pixels"], ["place"], axis=1, keepdims=0),
+        helper.make_node("Cast", ["place"], ["value"], to=TensorProto.FLOAT),
+        helper.make_node("Add", ["value", "greatest"], ["logits"]),
+    ]
 
 
 def endless_loop(path: Path) -> None:
@@ -378,7 +432,12 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "a log of 30 GiB": ("CAN log", "a.log", sparse(30 * GIB), "at most 4096 MiB"),
     "a model of 30 GiB": ("model", "a.onnx", sparse(30 * GIB), "at most 512 MiB"),
     "a model of a huge tensor": ("model run", "a.onnx", huge_tensor, "can be run: "),
-    "a model of a loop without end": ("model", "a.onnx", endless_loop, "without loops, got the operation Loop"),
+    "a model of a text that doubles": ("model run", "a.onnx", doubled_text, "of numbers"),
+    "a model of many long texts": ("model run", "a.onnx", expanded_text, "got a tensor of texts"),
+    "a model of a sequence of nothing": (
+        "model run", "a.onnx", split_nothing, "got the operation 'SplitToSequence'",
+    ),
+    "a model of a loop without end": ("model", "a.onnx", endless_loop, "without loops, got the operation 'Loop'"),
     "a model of many operations": ("model", "a.onnx", many_operations, "at most 10000 operations"),
     "a model of functions": ("model", "a.onnx", own_functions, "without functions of its own"),
     "an archive of a GiB": ("glare drive", "a.npz", archive, "unpacked"),

@@ -10,6 +10,9 @@ from collections.abc import Iterator
 _SIZES = {1: 8, 5: 4}
 """Bytes of a number, by its wire type."""
 
+MAX_NUMBER = (1 << 29) - 1
+"""Largest number of a field."""
+
 
 def protobuf_fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
     """Number and value of each field in turn: whole numbers unsigned, texts, bytes and messages as they are.
@@ -21,6 +24,8 @@ def protobuf_fields(message: memoryview) -> Iterator[tuple[int, int | memoryview
     while position < len(message):
         key, position = _varint(message, position)
         number, kind = key >> 3, key & 7
+        if number > MAX_NUMBER:  # others take its last bits, and so for another field
+            raise ValueError(f"field {number}: expected a number of at most {MAX_NUMBER}")
         if kind == 0:
             value, position = _varint(message, position)
             yield number, value

@@ -6,14 +6,12 @@ import contextlib
 import functools
 import hashlib
 import os
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+from foreglow.classifier.operations import check_operations
 from foreglow.files import check_file, read_bytes, read_plain_json
 from foreglow.models import BUNDLED, SHA256, model_path
-from foreglow.protobuf import protobuf_fields
 from foreglow.wording import check_one_of, shortened
 
 if TYPE_CHECKING:
@@ -25,23 +23,11 @@ Device: TypeAlias = Literal["cpu", "cuda"]
 MAX_MODEL_BYTES = 1 << 29
 """Largest model file; ours has less than a megabyte."""
 
-MAX_NODES = 10_000
-"""Operations of a model; ours has 13, and ResNet-152 some 500."""
-
 MAX_TENSOR_BYTES = 1 << 31
 """Memory for the tensors of all models of this process."""
 
-LOOPS = frozenset({"Loop", "Scan", "SequenceMap"})
-"""Operations that repeat others as often as a number in the file says."""
-
 CUDA = "CUDAExecutionProvider"
 """ONNX Runtime's name for computing on NVIDIA's GPUs."""
-
-# Numbers of fields. Source: onnx.proto of ONNX.
-_GRAPH, _FUNCTIONS = 7, 25  # of a model
-_NODE = 1  # of a graph
-_OPERATION, _ATTRIBUTE = 4, 5  # of a node
-_BRANCH = 6  # of an attribute: a graph
 
 
 def open_session(path: Path, num_threads: int, device: Device = "cpu") -> InferenceSession:
@@ -59,7 +45,11 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such model file, expected an ONNX file, or `{BUNDLED}` for what ships")
     check_file(path)
-    _check_operations(path)
+    content = memoryview(read_bytes(path, MAX_MODEL_BYTES))
+    try:
+        check_operations(content)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime as ort
@@ -72,6 +62,7 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.log_severity_level = 4  # errors are raised and need not be printed as well
     _bound_memory()
+    options.add_session_config_entry("session.load_model_format", "ONNX")  # what was checked, whatever its name ends in
     options.add_session_config_entry("session.use_env_allocators", "1")
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
@@ -150,41 +141,3 @@ def _bound_memory() -> None:
 
     on_cpu = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
     ort.create_and_register_allocator(on_cpu, ort.OrtArenaCfg({"max_mem": MAX_TENSOR_BYTES}))
-
-
-def _check_operations(path: Path) -> None:
-    """ValueError if a model has too many operations, loops, or functions, which may call each other."""
-    model = memoryview(read_bytes(path, MAX_MODEL_BYTES))
-    try:
-        counts = _operations(model)
-    except ValueError as error:
-        raise ValueError(f"{path}: expected an ONNX model that can be run: {error}") from None
-    if counts.total() > MAX_NODES:
-        raise ValueError(f"{path}: expected a model of at most {MAX_NODES} operations, got more")
-    if refused := LOOPS.intersection(counts):
-        raise ValueError(f"{path}: expected a model without loops, got the operation {min(refused)}")
-    if "" in counts:
-        raise ValueError(f"{path}: expected a model without functions of its own, which onnx.inliner resolves")
-
-
-def _operations(model: memoryview) -> Counter[str]:
-    """How often a model has each operation, as long as these are not too many; the empty name stands for functions."""
-    counts: Counter[str] = Counter()
-    graphs = []
-    for number, content in _parts(model):
-        counts[""] += number == _FUNCTIONS
-        if number == _GRAPH:
-            graphs.append(content)
-    while graphs and counts.total() <= MAX_NODES:
-        for node in (content for number, content in _parts(graphs.pop()) if number == _NODE):
-            for number, content in _parts(node):
-                if number == _OPERATION:
-                    counts[str(content, "utf-8", "replace")] += 1
-                elif number == _ATTRIBUTE:
-                    graphs += [branch for inner, branch in _parts(content) if inner == _BRANCH]
-    return +counts
-
-
-def _parts(message: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """The fields of a message but for its numbers."""
-    return ((number, value) for number, value in protobuf_fields(message) if isinstance(value, memoryview))

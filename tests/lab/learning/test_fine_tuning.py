@@ -142,6 +142,16 @@ def test_another_network_is_refused(tmp_path: Path) -> None:
         read_model(tmp_path / "paper.onnx")
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_not_finite_are_refused(tmp_path: Path, value: float) -> None:
+    network = model_at(tmp_path / "model.onnx", WIDEST, 5, network="both")
+    with torch.no_grad():
+        network.related.hidden.weight[3, 4] = value
+    write_model(network, WIDEST, tmp_path / "model.onnx", {})
+    with pytest.raises(ValueError, match=r"model\.onnx: expected finite weights, got NaN or infinity$"):
+        read_model(tmp_path / "model.onnx")
+
+
 def test_the_samples_that_ship_are_for_the_model_that_ships() -> None:
     start = read_model(Path("foreglow"))
     old = read_old_samples(OLD_SAMPLES, start.inputs)

@@ -116,6 +116,25 @@ def test_sets_of_a_batch_do_not_know_of_each_other(make: type[RelatedNetwork | B
 
 
 @COMPARING
+def test_frames_without_boxes_change_nothing(make: type[RelatedNetwork | BothNetwork]) -> None:
+    made, samples = network(make=make), pairs(2, 1)
+    crops, features = torch.from_numpy(samples.crops).float() / 255, torch.from_numpy(samples.features)
+    with torch.inference_mode():
+        wanted = made(crops, features, [6, 6]).numpy()
+        np.testing.assert_array_equal(made(crops, features, [0, 6, 0, 6, 0]).numpy(), wanted)
+        for sizes in (None, [], [0, 0]):
+            assert made(crops[:0], features[:0], sizes).shape == (0, 1)
+
+
+def test_a_batch_of_which_no_box_passes_the_first_network() -> None:
+    made, samples = network(make=BothNetwork), pairs(2, 1)
+    assert isinstance(made, BothNetwork)
+    with torch.no_grad():
+        made.alone.last.bias.fill_(float("nan"))  # no other number is below the least of all boxes
+    assert np.isnan(score_samples(made, samples, CPU)).all()
+
+
+@COMPARING
 def test_the_model_computes_what_the_network_does(make: type[RelatedNetwork | BothNetwork], tmp_path: Path) -> None:
     made = network(make=make)
     samples = joined([pairs(3, 1), pairs(2, 2)[:9]])  # the last set is cut

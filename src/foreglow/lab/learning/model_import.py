@@ -89,7 +89,7 @@ def read_model(model: Path) -> StartingPoint:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no model that the pipeline can run, or of another network.
+        ValueError: If it is no model that the pipeline can run, of another network, or has weights that are not finite.
     """
     spec = OnnxClassifier(ClassifierConfig(model=model)).spec
     path = model_path(model)
@@ -115,6 +115,9 @@ def read_model(model: Path) -> StartingPoint:
         raise ValueError(
             f"{path}: expected a model of the recipe foreglow, related or compact, whose network can be trained further"
         )
+    for value in values:
+        if not np.isfinite(value).all():
+            raise ValueError(f"{path}: expected finite weights, got NaN or infinity")
     with torch.no_grad():
         for parameter, value in zip(parameters, values, strict=True):
             parameter.copy_(torch.from_numpy(np.array(value[: len(parameter)])))

@@ -123,6 +123,8 @@ class RelatedNetwork(CompactNetwork):
             features: Shape (N, 10).
             sizes: Numbers of boxes of each frame, which sum to N; None if all are of one.
         """
+        if not len(crops):
+            return features.new_zeros(0, self.last.out_features)
         x = torch.cat([self.body(crops).flatten(1), features], dim=1)
         hidden = torch.relu(self.hidden(x)) + self.place(features)
         is_there = _is_there([len(crops)] if sizes is None else sizes, crops.device)
@@ -173,7 +175,9 @@ class BothNetwork(nn.Module):
     def forward(self, crops: Tensor, features: Tensor, sizes: Sequence[int] | None = None) -> Tensor:
         """The logits of each crop; arguments are those of `RelatedNetwork`."""
         logits: Tensor = self.alone(crops, features[:, : self.NUM_FEATURES_ALONE]).clone()
-        frames = [len(crops)] if sizes is None else list(sizes)
+        frames = [size for size in ([len(crops)] if sizes is None else sizes) if size]
+        if not frames:
+            return logits
         lights = torch.split(light_of(logits.detach()), frames)
         are_shown = [light >= light.max().clamp(max=self.LEAST_LOGIT) for light in lights]
         is_shown = torch.cat(are_shown)
