@@ -77,4 +77,5 @@ def _beyond_rad(camera: Camera, boxes_xyxy_px: Floats) -> Floats:
     top, bottom = np.maximum(-y1, 0.0) / focal_y, np.maximum(y2 - camera.height_px, 0.0) / focal_y
     across, upright = (roll_sine + ASIDE) * (left + right), roll_sine * (top + bottom)
     beyond = np.stack([-right - upright, left + upright, -bottom - across, top + across], axis=1)
-    return np.clip(beyond, -np.pi / 2, np.pi / 2)
+    clipped: Floats = np.clip(beyond, -np.pi / 2, np.pi / 2)
+    return clipped
