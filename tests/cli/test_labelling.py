@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.datasets import open_labelled, shipped_drive
+from foreglow.datasets import open_labelled, open_source, shipped_drive
 from foreglow.runs.recorded_run import doubt_about_labels, read_run
 from tests.cli.commands import complaint, foreglow_command, names, without_digest
 from tests.datasets.tiny_pvdn import make_pvdn
@@ -277,11 +277,11 @@ def test_labels_of_another_video(tmp_path: Path) -> None:
 def test_labels_of_another_folder(tmp_path: Path) -> None:
     """Labels beside their images, and a set that was imported from them; runs on those, on others, and on a video."""
     runs = {}
-    for name, brightness in (("a", 0), ("b", 40)):
+    for name, contrast in (("a", 200), ("b", 40)):
         folder = tmp_path / name / "images"
         folder.mkdir(parents=True)
         for number in range(3):
-            noise = np.random.default_rng(number + brightness).integers(0, 200, (72, 96), np.uint8)
+            noise = np.random.default_rng(number).integers(0, contrast, (72, 96), np.uint8)
             cv2.imwrite(str(folder / f"{number:03d}.png"), noise)
         runs[folder] = tmp_path / f"run_{name}"
     runs[make_video(tmp_path / "c.mp4", num_frames=3)] = tmp_path / "run_c"
@@ -311,12 +311,14 @@ def test_labels_that_know_no_origin(tmp_path: Path) -> None:
     split = make_pvdn(tmp_path / "data")
     sequence = next((split / "images").iterdir())
     shutil.copytree(sequence, tmp_path / "copy")
-    for name, scale in (("other", 1), ("small", 2)):
+    for name, scale in (("other", 1), ("large", 2)):
         (tmp_path / name).mkdir()
         for image in sequence.glob("*.png"):
-            pixels = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)[::scale, ::scale]
-            cv2.imwrite(str(tmp_path / name / image.name), 255 - pixels)
-    for name in ("copy", "other", "small"):
+            frame = next(iter(open_source(image)))
+            size_px = scale * frame.height_px, scale * frame.width_px
+            noise = np.random.default_rng(0).integers(0, 99, size_px, np.uint8)
+            cv2.imwrite(str(tmp_path / name / image.name), noise)
+    for name in ("copy", "other", "large"):
         result = foreglow_command("run", tmp_path / name, "--out", tmp_path / f"run_{name}")
         assert result.exit_code == 0, result.output
     dataset = open_labelled(split)
@@ -327,8 +329,8 @@ def test_labels_that_know_no_origin(tmp_path: Path) -> None:
         f"{split}: nothing tells whether these are labels of what {tmp_path / 'run_other'} was made from, "
         f"{tmp_path / 'other'}"
     )
-    with pytest.raises(ValueError, match="expected the labels of what .*run_small was made from"):
-        doubt_about_labels(tmp_path / "run_small", split, dataset)
+    with pytest.raises(ValueError, match=r"expected the labels of what .*run_large was made from"):
+        doubt_about_labels(tmp_path / "run_large", split, dataset)
     export = ("export-mot", tmp_path / "run_other", split, "--out", tmp_path / "mot")
     assert complaint(*export) == f"foreglow: {doubt}; expected a run on {split}\n"
     assert not (tmp_path / "mot").exists()
