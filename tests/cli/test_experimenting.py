@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.datasets import shipped_drive
+from foreglow.config import preset
+from foreglow.datasets import open_labelled, shipped_drive
+from foreglow.lab.studies.time_benefit.page import write_report
+from foreglow.lab.studies.time_benefit.run import run_experiment
 from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
@@ -92,19 +95,40 @@ def test_time_benefit(tmp_path: Path) -> None:
     assert result.stdout.endswith(f"look in {out / 'report.md'}\n")
     assert "false confirmed tracks a minute" in result.stdout
     assert "Single frame before a human, mean: 0.5 s; here" in result.stdout
+    assert "vehicle at 18 Hz, " in result.stdout
 
 
 @pytest.mark.usefixtures("undrawn", "few_rules")
 def test_time_benefit_of_two_splits(tmp_path: Path) -> None:
-    """The second split is a copy of the first; a folder that is a split counts once, whatever its name."""
+    """The second split is a copy of the first; a folder that is a split has no others."""
     pytest.importorskip("matplotlib")
     root = make_pvdn(tmp_path / "data")
     shutil.copytree(root, root.parent / "test")
-    for name, data, num in (("both", tmp_path / "data", 4), ("one", root, 2)):
-        out = tmp_path / name
-        result = foreglow_command("experiment", "time-benefit", data, "--split", "val,test", "--out", out)
-        assert result.exit_code == 0, result.output
-        assert json.loads((out / "results.json").read_text())["num_sequences"] == num
+    out = tmp_path / "out"
+    time_benefit = ("experiment", "time-benefit", "--split", "val,test", "--out", out)
+    result = foreglow_command(*time_benefit, tmp_path / "data")
+    assert result.exit_code == 0, result.output
+    results = json.loads((out / "results.json").read_text())
+    assert (results["num_sequences"], results["rates_hz"]) == (4, [18.0, 18.0])
+    expected = f"foreglow: --split: expected a whole data set with it, {root} is a single split\n"
+    assert complaint(*time_benefit, root) == expected
+
+
+@pytest.mark.usefixtures("undrawn", "few_rules")
+def test_time_benefit_at_a_low_rate(tmp_path: Path) -> None:
+    """The command refuses it; the report of what `reproduce` measures says so."""
+    pytest.importorskip("matplotlib")
+    root = make_pvdn(tmp_path / "data")
+    path = root / "labels" / "image_annotations.json"
+    content = json.loads(path.read_text())
+    images = [image | {"timestamp": round(1e9 * image["id"] / 1.5)} for image in content["images"]]
+    path.write_text(json.dumps(content | {"info": {"rate_hz": 1.5}, "images": images}))
+    said = complaint("experiment", "time-benefit", root, "--out", tmp_path / "out")
+    assert f"{root}: rate_hz: expected at least 5, as below it five frames take longer than a human, got 1.5" in said
+    results = run_experiment([open_labelled(root)], preset("foreglow"))
+    report = write_report(results, tmp_path / "out").read_text()
+    assert "2 sequences at 1.5 Hz; " in report
+    assert "Below 5 Hz five frames take longer than a human" in report
 
 
 def test_what_is_named_twice_would_count_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

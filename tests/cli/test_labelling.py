@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.datasets import open_labelled, shipped_drive
-from foreglow.runs.recorded_run import read_run
+from foreglow.datasets import open_labelled, open_source, shipped_drive
+from foreglow.runs.recorded_run import doubt_about_labels, read_run
 from tests.cli.commands import complaint, foreglow_command, names, without_digest
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.datasets.video.test_video_file import make_video
@@ -272,6 +272,84 @@ def test_labels_of_another_video(tmp_path: Path) -> None:
     assert f"{tmp_path / 'own'}: expected the labels of what {tmp_path / 'b'} was made from" in said
     video.rename(tmp_path / "moved.mp4")
     assert foreglow_command(*evaluate, tmp_path / "a" / "frames.jsonl").exit_code == 0
+
+
+def test_labels_of_another_folder(tmp_path: Path) -> None:
+    """Labels beside their images, and a set that was imported from them; runs on those, on others, and on a video."""
+    runs = {}
+    for name, contrast in (("a", 200), ("b", 40)):
+        folder = tmp_path / name / "images"
+        folder.mkdir(parents=True)
+        for number in range(3):
+            noise = np.random.default_rng(number).integers(0, contrast, (72, 96), np.uint8)
+            cv2.imwrite(str(folder / f"{number:03d}.png"), noise)
+        runs[folder] = tmp_path / f"run_{name}"
+    runs[make_video(tmp_path / "c.mp4", num_frames=3)] = tmp_path / "run_c"
+    for source, out in runs.items():
+        result = foreglow_command("run", source, "--out", out)
+        assert result.exit_code == 0, result.output
+    images, labels = tmp_path / "a" / "images", tmp_path / "a" / "labels.xml"
+    result = foreglow_command("labels", "export", images, "--run", runs[images], "--out", labels)
+    assert result.exit_code == 0, result.output
+    result = foreglow_command("labels", "import", labels, "--out", tmp_path / "own")
+    assert result.exit_code == 0, result.output
+    own, video, other = tmp_path / "own", tmp_path / "run_c", tmp_path / "run_b"
+    for labelled in (labels, own):
+        evaluate = ("evaluate", labelled, "--predictions")
+        said = foreglow_command(*evaluate, runs[images] / "frames.jsonl")
+        assert said.exit_code == 0, said.output
+        assert "nothing tells" not in said.stdout
+        assert f"expected the labels of what {other} was made from" in complaint(*evaluate, other / "frames.jsonl")
+    beside = foreglow_command("evaluate", labels, "--predictions", video / "frames.jsonl")
+    doubt = f"{labels}: nothing tells whether these are labels of what {video} was made from, {tmp_path / 'c.mp4'}"
+    assert f"{doubt}\n" in beside.stdout
+    assert "expected the labels of" in complaint("evaluate", own, "--predictions", video / "frames.jsonl")
+
+
+def test_labels_that_know_no_origin(tmp_path: Path) -> None:
+    """Those of PVDN beside runs on plain folders: a copy of a sequence, other images, and images of another size."""
+    split = make_pvdn(tmp_path / "data")
+    sequence = next((split / "images").iterdir())
+    shutil.copytree(sequence, tmp_path / "copy")
+    for name, scale in (("other", 1), ("large", 2)):
+        (tmp_path / name).mkdir()
+        for image in sequence.glob("*.png"):
+            frame = next(iter(open_source(image)))
+            size_px = scale * frame.height_px, scale * frame.width_px
+            noise = np.random.default_rng(0).integers(0, 99, size_px, np.uint8)
+            cv2.imwrite(str(tmp_path / name / image.name), noise)
+    for name in ("copy", "other", "large"):
+        result = foreglow_command("run", tmp_path / name, "--out", tmp_path / f"run_{name}")
+        assert result.exit_code == 0, result.output
+    dataset = open_labelled(split)
+    assert doubt_about_labels(tmp_path / "run_copy", split, dataset) is None
+    assert doubt_about_labels(tmp_path / "run_copy", sequence, open_labelled(sequence)) is None
+    doubt = doubt_about_labels(tmp_path / "run_other", split, dataset)
+    assert doubt == (
+        f"{split}: nothing tells whether these are labels of what {tmp_path / 'run_other'} was made from, "
+        f"{tmp_path / 'other'}"
+    )
+    with pytest.raises(ValueError, match=r"expected the labels of what .*run_large was made from"):
+        doubt_about_labels(tmp_path / "run_large", split, dataset)
+    export = ("export-mot", tmp_path / "run_other", split, "--out", tmp_path / "mot")
+    assert complaint(*export) == f"foreglow: {doubt}; expected a run on {split}\n"
+    assert not (tmp_path / "mot").exists()
+
+
+def test_suggestions_of_another_run(tmp_path: Path) -> None:
+    """Those of a second run on the same video are of the same frames."""
+    videos = {name: make_video(tmp_path / f"{name}.mp4", num_frames=num) for name, num in (("a", 10), ("b", 12))}
+    for name, out in (("a", "a"), ("a", "again"), ("b", "b")):
+        for words in (("run", videos[name], "--out", tmp_path / out), ("suggest", tmp_path / out, "--frames", 3)):
+            result = foreglow_command(*words)
+            assert result.exit_code == 0, result.output
+    export = ("labels", "export", videos["a"], "--run", tmp_path / "a", "--out", tmp_path / "guess.xml", "--frames")
+    for out in ("a", "again"):
+        result = foreglow_command(*export, tmp_path / out / "suggestions.csv")
+        assert result.exit_code == 0, result.output
+    others = tmp_path / "b" / "suggestions.csv"
+    expected = f"{others}: expected frames of {tmp_path / 'a'}, got those of another run, on {videos['b']}"
+    assert expected in complaint(*export, others)
 
 
 def test_names_that_are_not_utf_8(tmp_path: Path) -> None:

@@ -26,14 +26,17 @@ def export_mot(
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import mot, read_predictions
     from foreglow.runs.frames_file import read_tracks
-    from foreglow.runs.recorded_run import check_labels
+    from foreglow.runs.recorded_run import doubt_about_labels
 
     if score:
         importlib.import_module("trackeval")  # fails before anything is written
     results = run / "frames.jsonl"
-    check_labels(run, split)
+    dataset = open_labelled(split)
+    doubt = doubt_about_labels(run, split, dataset)
+    if doubt is not None:
+        raise ValueError(f"{doubt}; expected a run on {split}")
     proposals, tracks = read_predictions(results), read_tracks(results)
-    mot.export_mot(open_labelled(split), proposals, tracks, out, name, origin=str(results))
+    mot.export_mot(dataset, proposals, tracks, out, name, origin=str(results))
     if score:
         scores = mot.score_mot(out, name)
         typer.echo(f"HOTA {scores.hota:.3f} (DetA {scores.det_a:.3f}, AssA {scores.ass_a:.3f}), IDF1 {scores.idf1:.3f}")

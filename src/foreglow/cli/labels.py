@@ -35,7 +35,7 @@ def export(
     from foreglow.datasets import exchange, open_labelled, open_source
     from foreglow.lab.learning.suggestion import read_suggestions
     from foreglow.runs.first_guess import read_guess
-    from foreglow.runs.recorded_run import doubt_about_source
+    from foreglow.runs.recorded_run import check_suggestions_of, doubt_about_source
 
     exchange.check_target(out, name)
     if name == "cvat-video" and frames is not None:
@@ -51,6 +51,8 @@ def export(
         frames_of_run = open_source(source, on_error="mark")
         doubt = doubt_about_source(run, source)
         lines += [] if doubt is None else [doubt]
+        if frames is not None:
+            check_suggestions_of(run, frames)
         guesses = read_guess(run)
         sequences = {number: guess.sequence for number, guess in guesses.items()}
         chosen = None if frames is None else read_suggestions(frames, sequences)
@@ -72,10 +74,10 @@ def import_(
 ) -> None:
     """Make a data set of labels and their images, which every command takes."""
     from foreglow.datasets import exchange
-    from foreglow.runs.origin import origin_digest
+    from foreglow.runs.origin import digests_of_images
 
     dataset = exchange.LabelFile(source, images)
-    exchange.write_split(dataset, out, origin_digest(images) if images is not None and images.is_file() else None)
+    exchange.write_split(dataset, out, digests_of_images(dataset))
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:

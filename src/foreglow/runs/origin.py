@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from foreglow.datasets import FrameSource, origin_of
-from foreglow.datasets.exchange import is_labels
+from foreglow.datasets.exchange import LabelFile, is_labels
 from foreglow.datasets.exchange.transfer import ORIGIN
 from foreglow.datasets.images import IMAGE_SUFFIXES
 from foreglow.datasets.pvdn.labels import read_labels
@@ -55,7 +55,14 @@ def origin_digest(path: Path) -> str | None:
 
 
 def digests_of(labelled: Path) -> set[str]:
-    """The digests of what labels at `labelled` are for: of a split, also those of its sequences, and the reverse."""
+    """The digests of what labels at `labelled` are for: of a split, also those of its sequences, and the reverse.
+
+    Raises:
+        FileNotFoundError: If the images of a file of labels are not beside it.
+        ValueError: If the file of labels is broken, or there are several splits.
+    """
+    if is_labels(labelled):
+        return digests_of_images(LabelFile(labelled))
     paths = [labelled]
     if is_pvdn(labelled):
         split = find_split(labelled)[0]
@@ -63,12 +70,22 @@ def digests_of(labelled: Path) -> set[str]:
     return {digest for path in paths if (digest := origin_digest(path)) is not None}
 
 
-def stated_origin(labelled: Path) -> str | None:
-    """The digest of the video that labels at `labelled` were imported for; None if they do not say so."""
+def digests_of_images(dataset: LabelFile) -> set[str]:
+    """The digests of what a run on the images of `dataset` may have been made from."""
+    return {digest for path in dataset.places if (digest := origin_digest(path)) is not None}
+
+
+def stated_origins(labelled: Path) -> set[str]:
+    """As `digests_of_images`, of what the labels at `labelled` were imported for; none if they do not say so.
+
+    Raises:
+        FileNotFoundError: If a label file is missing.
+        ValueError: If one is broken, or there are several splits.
+    """
     if not is_pvdn(labelled):
-        return None
+        return set()
     found = read_labels(find_split(labelled)[0]).images_file.info.get(ORIGIN)
-    return found if isinstance(found, str) else None
+    return {each for each in found if isinstance(each, str)} if isinstance(found, list) else set()
 
 
 def _images_in(path: Path) -> Iterator[tuple[bytes, int]]:

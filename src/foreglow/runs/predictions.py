@@ -18,12 +18,13 @@ from typing_extensions import TypedDict  # pydantic takes that of typing from Py
 
 from foreglow.datasets.json_files import read_json
 from foreglow.geometry import Floats
-from foreglow.runs.frame_line import Box, FrameLine, check_probabilities
+from foreglow.runs.frame_line import Box, FrameLine, check_per_box
 from foreglow.runs.frames_file import own_threshold, read_frame_lines
 from foreglow.runs.json_lines import Whole, checked
 from foreglow.types import LIGHT_KINDS
 from foreglow.types.arrays import check_kind, check_numbers
 from foreglow.whole_files import write_atomic
+from foreglow.wording import shortened
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +38,10 @@ class Predictions:
         direct_probabilities: By image id, shape (N,), float64: that a box holds a lamp itself, NaN where unknown;
             images for which nothing is known are left out.
         light_kinds: By image id, shape (N, 4), float64, as in `Detections`, of images for which they are known.
+
+    Raises:
+        ValueError: If a field is of another type or shape, an image id is no number, a box is not finite or ends before
+            it begins, or a score is no number from 0 to 1.
     """
 
     boxes_xyxy_px: Mapping[int, NDArray[np.float64]]
@@ -50,9 +55,42 @@ class Predictions:
             check_kind(f"Predictions.{name}", getattr(self, name), Mapping)
         if self.boxes_xyxy_px.keys() != self.scores.keys():
             raise ValueError("Predictions.scores: expected the same images as boxes_xyxy_px")
+        check_image_ids("Predictions.boxes_xyxy_px", self.boxes_xyxy_px)
         for image_id, boxes in self.boxes_xyxy_px.items():
-            check_numbers(f"Predictions.boxes_xyxy_px: image {image_id}", boxes, (None, 4))
-            check_numbers(f"Predictions.scores: image {image_id}", self.scores[image_id], (len(boxes),))
+            name, scores = f"Predictions.boxes_xyxy_px: image {image_id}", self.scores[image_id]
+            check_numbers(name, boxes, (None, 4))
+            _check_order(boxes, f"{name}: ")
+            name = f"Predictions.scores: image {image_id}"
+            check_numbers(name, scores, (len(boxes),))
+            _check_scores(scores, f"{name}: ")
+
+
+def check_image_ids(field: str, images: Mapping[int, object]) -> None:
+    """Checks that the keys are numbers, as those of images are.
+
+    Raises:
+        ValueError: If one is not; the message begins with `field`.
+    """
+    for image_id in images:
+        if not isinstance(image_id, int | np.integer) or isinstance(image_id, bool):
+            raise ValueError(f"{field}: expected numbers of images, got {shortened(image_id)}")
+
+
+def _check_order(boxes_xyxy_px: NDArray[Any], place: str) -> None:
+    """ValueError for a box that ends before it begins."""
+    is_inverted = (boxes_xyxy_px[:, :2] > boxes_xyxy_px[:, 2:]).any(axis=1)
+    if is_inverted.any():
+        bad = int(is_inverted.argmax())
+        got = boxes_xyxy_px[bad].tolist()
+        raise ValueError(f"{place}{bad}: expected x1, y1, x2, y2 with x1 <= x2 and y1 <= y2, got {got}")
+
+
+def _check_scores(scores: NDArray[Any], place: str) -> None:
+    """ValueError for one outside 0 to 1."""
+    is_wrong = (scores < 0) | (scores > 1)
+    if is_wrong.any():
+        bad = int(is_wrong.argmax())
+        raise ValueError(f"{place}{bad}: expected a number from 0 to 1, got {scores[bad]}")
 
 
 @checked
@@ -191,17 +229,16 @@ def _from_coco(path: Path) -> Predictions:
 def _as_boxes(boxes: list[Box], name: str) -> NDArray[np.float64]:
     """Shape (N, 4); ValueError for a box that ends before it begins."""
     corners = np.array(boxes, np.float64).reshape(-1, 4)
-    is_inverted = (corners[:, :2] > corners[:, 2:]).any(axis=1)
-    if is_inverted.any():
-        bad = int(is_inverted.argmax())
-        raise ValueError(f"{name}.{bad}: expected x1, y1, x2, y2 with x1 <= x2 and y1 <= y2, got {boxes[bad]}")
+    _check_order(corners, f"{name}.")
     return corners
 
 
 def _as_scores(values: Sequence[float] | None, num_boxes: int) -> NDArray[np.float64]:
     """Shape (N,); all 1 if there are no values at all; ValueError for one outside 0 to 1."""
-    check_probabilities(values, num_boxes, "scores")
-    return np.ones(num_boxes) if values is None else np.array(values, np.float64)
+    check_per_box(values, num_boxes, "scores")
+    scores = np.ones(num_boxes) if values is None else np.array(values, np.float64)
+    _check_scores(scores, "scores.")
+    return scores
 
 
 def _as_kinds(rows: Sequence[Sequence[float] | None]) -> NDArray[np.float64]:

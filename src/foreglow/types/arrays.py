@@ -69,10 +69,10 @@ def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[
 
 
 def check_numbers(field: str, array: object, shape: tuple[int | None, ...]) -> None:
-    """As `checked_array`, for numbers of any type.
+    """As `checked_array`, for finite numbers of any type.
 
     Raises:
-        ValueError: If it is no array of numbers of that shape.
+        ValueError: If it is no array of numbers of that shape, or one of them is NaN or infinite.
 
     >>> check_numbers("boxes", [[1, 2, 3, 4]], (None, 4))
     Traceback (most recent call last):
@@ -80,6 +80,9 @@ def check_numbers(field: str, array: object, shape: tuple[int | None, ...]) -> N
     """
     is_of_numbers = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
     if isinstance(array, np.ndarray) and is_of_numbers and len(shape) == array.ndim and _fits(array.shape, shape):
+        is_finite = np.isfinite(array)
+        if not is_finite.all():
+            raise ValueError(f"{field}: expected finite numbers, got {array[~is_finite][0]}")
         return
     raise ValueError(f"{field}: expected numbers of shape {_shape_words(shape)}, got {_array_words(array)}")
 

@@ -16,6 +16,7 @@ from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
+from foreglow.datasets.pvdn.splits import is_split
 from foreglow.datasets.source import OnError
 from foreglow.datasets.video import Video
 from foreglow.types import Frame
@@ -84,6 +85,15 @@ class LabelFile(LabelledSource):
             return (frame for frame, _ in self.pairs())
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
         return self._read_each(reads)
+
+    @property
+    def places(self) -> frozenset[Path]:
+        """What a run on the same images may have been made from: the video, or its folders and their split."""
+        if self._video is not None:
+            return frozenset({self._video.path})
+        folders = {self._folder, *(path.parent for path in self._labelled)}
+        splits = {folder.resolve().parents[1] for folder in folders if len(folder.resolve().parents) > 1}
+        return frozenset({*folders, *filter(is_split, splits)})
 
     def pairs(self) -> Iterator[tuple[Frame, Frame | None]]:
         """The selected frames; of a video each with one from a quarter of a second before, unless it is selected, too.

@@ -27,7 +27,7 @@ _HIDDEN = ".import.partial"
 """Folder for a split until all of it is written."""
 
 ORIGIN = "origin"
-"""The field of a set's `info` with the digest of the video that its images are of."""
+"""The field of a set's `info` with the digests of the video, or of the folders, that its images are of."""
 
 _OWN = {"id", "directory", "image_ids", "num_images"}
 """Fields of a sequence that its images say."""
@@ -158,7 +158,7 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     return Counter(labels.lost) + lost
 
 
-def write_split(dataset: LabelledSource, root: Path, origin: str | None = None) -> int:
+def write_split(dataset: LabelledSource, root: Path, origin: Collection[str] = ()) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 
     Images and labels appear when all are written; what a killed process has left of them is removed by the next one.
@@ -166,7 +166,7 @@ def write_split(dataset: LabelledSource, root: Path, origin: str | None = None) 
     Args:
         dataset: The data set.
         root: The folder of the split.
-        origin: By what the video that it is of is known, for its `info`; None without one.
+        origin: By what the video or the folders that it is of are known, for its `info`.
 
     Raises:
         ValueError: If an image or its labels cannot be used, `root` holds images or labels already, or another run is
@@ -194,10 +194,10 @@ def _remove_empty(folder: Path) -> None:
             each.rmdir()
 
 
-def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origin: str | None) -> int:
+def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origin: Collection[str]) -> int:
     """As `write_split`, into `folder`, which becomes `root`."""
     num_images = 0
-    info = {"rate_hz": dataset.rate_hz} | ({} if origin is None else {ORIGIN: origin})
+    info = {"rate_hz": dataset.rate_hz} | ({ORIGIN: sorted(origin)} if origin else {})
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)

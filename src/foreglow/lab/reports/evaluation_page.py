@@ -174,6 +174,9 @@ def examination_lines(examination: Examination) -> list[str]:
         lines.append(
             f"outside the image, so that no box finds them: {lights}; labels for images of another size have many"
         )
+    if examination.num_beyond:
+        boxes = counted(examination.num_beyond, "box")
+        lines.append(f"wholly beyond the image, as predictions for images of another size are: {boxes}")
     if examination.num_twins:
         lights = counted(examination.num_twins, "key point")
         lines.append(f"in the labels again, same vehicle, instance and place, and counted again: {lights}")

@@ -13,13 +13,20 @@ import numpy as np
 import tomli_w
 
 from foreglow.files import write_json_results
-from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning
+from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning, TuningSettings
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number
 from foreglow.provenance import provenance
 from foreglow.whole_files import together, write_atomic
 
 SPLITS = ("train", "val", "test")
+
+OBJECTIVE_WORDS = {
+    "q-only": "the same",
+    "q": "the same and penalties for lost recall and more false boxes",
+    "light": "another one, of recall by kind of light, q and the number of boxes",
+}
+"""How the loss of each objective stands to the paper's, 1 - q."""
 
 HEADINGS = {
     "q": "q",
@@ -82,6 +89,7 @@ def _summary(tuning: Tuning) -> dict[str, Any]:
         "data": str(tuning.data),
         "study": tuning.study_name,
         "settings": {**dataclasses.asdict(tuning.settings), "storage": _without_password(tuning.settings.storage)},
+        "beside_paper": _beside_paper(tuning.settings),
         "num_finished": len(tuning.trials),
         "num_pruned": _num_pruned(tuning),
         "seconds": tuning.seconds,
@@ -89,6 +97,15 @@ def _summary(tuning: Tuning) -> dict[str, Any]:
         "chosen": _summary_of(tuning.chosen, tuning),
         "paper": _summary_of(tuning.paper, tuning),
         "finalists": [_summary_of(finalist, tuning) for finalist in tuning.finalists],
+    }
+
+
+def _beside_paper(settings: TuningSettings) -> dict[str, str]:
+    """What is as in the paper's search, in words."""
+    is_same = settings.space_name == "paper"
+    return {
+        "space": "in the same space by the same step" if is_same else f"in another space, `{settings.space_name}`",
+        "objective": OBJECTIVE_WORDS[settings.objective],
     }
 
 

@@ -134,6 +134,9 @@ def test_a_threshold_is_a_share(tmp_path: Path, threshold: Any) -> None:
             _predictions(),
             "keypoints_px: image 1: expected numbers of shape (N, 2), got <U1",
         ),
+        ({1: np.array([[3, np.nan]])}, _predictions(), "keypoints_px: image 1: expected finite numbers, got nan"),
+        ({1: np.array([[-np.inf, 3]])}, _predictions(), "keypoints_px: image 1: expected finite numbers, got -inf"),
+        ({"1": np.zeros((1, 2))}, _predictions(), "keypoints_px: expected numbers of images, got '1'"),
         ({}, None, "predictions: expected Predictions, got NoneType"),
         ({}, {1: np.zeros((1, 4))}, "predictions: expected Predictions, got dict"),
         ({}, [[0, 0, 1, 1]], "predictions: expected Predictions, got list"),
@@ -157,6 +160,13 @@ def test_arguments_of_another_type(keypoints_px: Any, predictions: Any, complain
         ),
         ({1: np.zeros((1, 4))}, {1: [1.0]}, "scores: image 1: expected numbers of shape (1,), got list"),
         ({1: np.zeros((1, 4))}, {1: np.ones(2)}, "scores: image 1: expected numbers of shape (1,), got float64"),
+        ({1: np.full((1, 4), np.nan)}, {1: np.ones(1)}, "boxes_xyxy_px: image 1: expected finite numbers, got nan"),
+        ({1: np.full((1, 4), np.inf)}, {1: np.ones(1)}, "boxes_xyxy_px: image 1: expected finite numbers, got inf"),
+        ({1: np.array([[5, 0, 1, 9]])}, {1: np.ones(1)}, "boxes_xyxy_px: image 1: 0: expected x1, y1, x2, y2 with x1"),
+        ({1: np.zeros((1, 4))}, {1: np.array([math.nan])}, "scores: image 1: expected finite numbers, got nan"),
+        ({1: np.zeros((1, 4))}, {1: np.array([2.0])}, "scores: image 1: 0: expected a number from 0 to 1, got 2.0"),
+        ({1: np.zeros((1, 4))}, {1: np.array([-1])}, "scores: image 1: 0: expected a number from 0 to 1, got -1"),
+        ({"1": np.zeros((1, 4))}, {"1": np.ones(1)}, "boxes_xyxy_px: expected numbers of images, got '1'"),
     ],
 )
 def test_predictions_of_another_type(boxes: Any, scores: Any, complaint: str) -> None:
@@ -165,7 +175,11 @@ def test_predictions_of_another_type(boxes: Any, scores: Any, complaint: str) ->
 
 
 _COORDINATES = st.integers(0, 12).map(float)
-_BOXES = st.lists(st.tuples(_COORDINATES, _COORDINATES, _COORDINATES, _COORDINATES, st.floats(0, 1)), max_size=5)
+_SIDES = st.tuples(_COORDINATES, _COORDINATES).map(sorted)
+_BOXES = st.lists(
+    st.tuples(_SIDES, _SIDES, st.floats(0, 1)).map(lambda box: (box[0][0], box[1][0], box[0][1], box[1][1], box[2])),
+    max_size=5,
+)
 _IMAGES = st.dictionaries(
     st.integers(0, 9), st.tuples(st.lists(st.tuples(_COORDINATES, _COORDINATES), max_size=5), _BOXES), max_size=4
 )
@@ -315,6 +329,18 @@ def test_points_that_no_box_can_find(tmp_path: Path) -> None:
     keypoints.write_text(keypoints.read_text().replace(str(position), "[500, 20]"))
     with pytest.warns(UserWarning, match=r"frames\.jsonl: 1 key points of .* outside of their image"):
         evaluate_split(split, path)
+
+
+@pytest.mark.filterwarnings("ignore:.* without predictions")
+def test_boxes_beyond_the_image(tmp_path: Path) -> None:
+    """One that reaches into it is not counted."""
+    split, path = make_pvdn(tmp_path), tmp_path / "predictions.json"
+    boxes = [[36, 29, 46, 33], [500, 20, 510, 30], [20, -9, 30, -1], [-5, -5, 3, 3]]
+    path.write_text(json.dumps({"11": {"boxes": boxes, "scores": [0.9, 0.1, 0.9, 0.9]}}))
+    with pytest.warns(UserWarning, match=r"predictions\.json: 2 boxes wholly beyond the image"):
+        evaluate_split(split, path)
+    done = foreglow_command("evaluate", split, "--predictions", path)
+    assert "wholly beyond the image, as predictions for images of another size are: 2 boxes\n" in done.stdout
 
 
 @pytest.mark.filterwarnings("ignore:.* without predictions")

@@ -368,6 +368,11 @@ def test_command(data: Path, out: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "chosen: " in result.stdout
     assert "test: q 1.000 (paper 0.750)" in result.stdout
+    assert "0.01; 0.01; here " in result.stdout
+    assert "in the same space by the same step" in result.stdout
+    assert (
+        "the formula; here the same and penalties for lost recall and more false boxes (objective q)" in result.stdout
+    )
     names = {path.name for path in out.iterdir()}
     assert names >= {"best.toml", "trials.csv", "summary.json", "parallel.png", "report.md", "study.journal"}
     summary = json.loads((out / "summary.json").read_text())
@@ -383,7 +388,11 @@ def test_command(data: Path, out: Path) -> None:
 
 def test_command_with_too_few_trials_for_importances(data: Path, tmp_path: Path) -> None:
     arguments = ("--trials", 2, "--images", 4, "--objective", "light", "--out", tmp_path)
-    assert foreglow_command("tune", data, *arguments).exit_code == 0
+    result = foreglow_command("tune", data, *arguments)
+    assert result.exit_code == 0, result.output
+    assert "same space" not in result.stdout
+    assert "in another space, `wide`" in result.stdout
+    assert "the formula; here another one, of recall by kind of light, q and the number of boxes" in result.stdout
     assert not (tmp_path / "importance.png").exists()
     assert "Too few finished trials" in (tmp_path / "report.md").read_text()
 

@@ -153,7 +153,7 @@ def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
     assert stored["encounters"][0]["sequence"] == "S00001"
     assert len(stored["curves"]["evidence"]) == len(RULES["evidence"])
     assert stored["made_with"]["version"]
-    assert "1 vehicle, 1 of them occluded" in summary_lines(results)[0]
+    assert "1 vehicle at 18 Hz, 1 of them occluded" in summary_lines(results)[0]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled
 from foreglow.geometry import checked_share
-from foreglow.lab.evaluation.boxes.breakdown import num_outside, num_twins
+from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
-from foreglow.runs.recorded_run import check_labels
+from foreglow.runs.recorded_run import doubt_about_labels
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +89,8 @@ def evaluate_boxes(
         threshold: A box counts if its score is above this; without effect on boxes without scores.
 
     Raises:
-        ValueError: If an argument is of another type, the keypoints have another shape, or the threshold is no number
-            from 0 to 1.
+        ValueError: If an argument is of another type, the keypoints have another shape or are not finite, or the
+            threshold is no number from 0 to 1.
 
     >>> keypoints = {7: np.array([[10, 10], [90, 90]])}
     >>> boxes = Predictions({7: np.array([[5.0, 5.0, 10.0, 10.0]])}, {7: np.array([0.9])})
@@ -134,7 +134,8 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     Every image of the split counts, with all its instances: direct, indirect and rear. Each must have its keypoint
     file. Image files are not needed. A warning tells what makes the figures others than the boxes deserve: images
     without predictions, predictions for images that are not in the split, key points outside their image, and key
-    points that the labels of an image have several times.
+    points that the labels of an image have several times, boxes that lie beyond their image; and labels of which
+    nothing tells whether they are for what the run was made from.
 
     Args:
         split: The split's folder, or a sequence's for this sequence alone.
@@ -151,14 +152,17 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     least = run_threshold(predictions) if given is None else given
     dataset = open_labelled(split)
     keypoints_px = split_keypoints_px(dataset)
-    check_images(Path(predictions), found, Path(split), keypoints_px.keys())
+    doubt = check_images(Path(predictions), found, Path(split), dataset)
     quality = evaluate_boxes(keypoints_px, found, least)
     outside = sum(num_outside(dataset.image(image_id), points.tolist()) for image_id, points in keypoints_px.items())
     twins = sum(num_twins(dataset.annotations(image_id)) for image_id in keypoints_px)
+    if doubt is not None:
+        warnings.warn(doubt, stacklevel=2)
     for number, words in (
         (quality.num_missing, f"images of {split} without predictions, counted as without boxes"),
         (quality.num_unknown, f"images with predictions that {split} does not have, which are ignored"),
         (outside, f"key points of {split} outside of their image, so that no box finds them"),
+        (num_beyond(dataset, found), "boxes wholly beyond the image, as of images of another size"),
         (twins, f"key points of {split} that are there again, same vehicle, instance and place, and count again"),
     ):
         if number:
@@ -166,29 +170,28 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     return quality
 
 
-def check_images(path: Path, predictions: Predictions, split: Path, image_ids: Collection[int]) -> None:
-    """Checks that predictions are for a split, as far as they and the run that wrote them say so.
+def check_images(path: Path, predictions: Predictions, split: Path, dataset: LabelledSource) -> str | None:
+    """Checks that predictions are for a split; a line if nothing tells whether the run that wrote them is for it.
 
     Args:
         path: The file of the predictions.
         predictions: What is in it.
         split: The split.
-        image_ids: Its images.
+        dataset: It, opened.
 
     Raises:
         ValueError: If they are for none of its images, in relative coordinates, or by a run on something else, or the
             run's summary is broken.
     """
     images = predictions.boxes_xyxy_px.keys()
-    if images and images.isdisjoint(image_ids):
+    if images and images.isdisjoint(dataset.frame_ids):
         raise ValueError(f"{path}: expected boxes in images of {split}, got those of others, such as {min(images)}")
     most_px = max((float(boxes.max()) for boxes in predictions.boxes_xyxy_px.values() if boxes.size), default=math.inf)
     if most_px <= 1:
         raise ValueError(
             f"{path}: expected boxes in pixels, got none beyond 1, as of coordinates relative to the image"
         )
-    if path.name == "frames.jsonl":
-        check_labels(path.parent, split)
+    return doubt_about_labels(path.parent, split, dataset) if path.name == "frames.jsonl" else None
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:

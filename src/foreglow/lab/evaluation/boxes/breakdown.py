@@ -251,6 +251,18 @@ def num_outside(image: ImageRecord, positions_px: Iterable[Sequence[float]]) -> 
     return sum(not (0 <= x <= image.width_px and 0 <= y <= image.height_px) for x, y in positions_px)
 
 
+def num_beyond(dataset: LabelledSource, predictions: Predictions) -> int:
+    """How many predicted boxes, whatever their score, lie wholly beyond the edges of their image."""
+    total = 0
+    for image_id in predictions.boxes_xyxy_px.keys() & set(dataset.frame_ids):
+        x1, y1, x2, y2 = predictions.boxes_xyxy_px[image_id].T
+        if len(x1):
+            image = dataset.image(image_id)
+            is_beyond = (x2 < 0) | (y2 < 0) | (x1 > image.width_px) | (y1 > image.height_px)
+            total += int(is_beyond.sum())
+    return total
+
+
 def num_twins(vehicles: Iterable[Vehicle]) -> int:
     """How many light artifacts of an image are in its labels again, with the same vehicle, instance and place."""
     lights = [(vehicle.oid, light.iid, light.position_px) for vehicle in vehicles for light in vehicle.instances]

@@ -70,6 +70,7 @@ class Examination:
         kinds: Which kinds are taken for which; None where a run tells none or the data set stores no shares.
         num_outside: Lights that lie outside their image.
         num_twins: Lights that the labels have several times, which count as often.
+        num_beyond: Boxes of a file that lie wholly beyond their image.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Examination:
     is_complete: bool = True
     num_outside: int = 0
     num_twins: int = 0
+    num_beyond: int = 0
 
     @property
     def share_found_ahead(self) -> float:

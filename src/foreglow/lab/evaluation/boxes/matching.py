@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.runs.predictions import Predictions
+from foreglow.runs.predictions import Predictions, check_image_ids
 from foreglow.types.arrays import check_kind, check_numbers
 
 NEVER = -np.inf
@@ -125,7 +125,7 @@ def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions)
         predictions: Boxes and scores by image id.
 
     Raises:
-        ValueError: If the points have another shape, or an argument is of another type.
+        ValueError: If the points have another shape or are not finite, or an argument is of another type.
 
     >>> predictions = Predictions({7: np.array([[5.0, 5, 10, 10]])}, {7: np.ones(1)})
     >>> matches = match_boxes({7: np.array([[10, 10]])}, predictions)
@@ -134,6 +134,7 @@ def match_boxes(points_px: Mapping[int, NDArray[Any]], predictions: Predictions)
     """
     check_kind("predictions", predictions, Predictions)
     check_kind("keypoints_px", points_px, Mapping)
+    check_image_ids("keypoints_px", points_px)
     points, boxes, scores = [np.empty((0, 2))], [np.empty((0, 4))], [np.empty(0)]
     for image_id, its_points in points_px.items():
         check_numbers(f"keypoints_px: image {image_id}", its_points, (None, 2))

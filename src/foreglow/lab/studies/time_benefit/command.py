@@ -16,8 +16,9 @@ def command(
     out: ReportOption,
     pipeline: PipelineOptions,
     split: Annotated[
-        str, option("NAMES", "Splits to measure on together, if DATA is a whole data set, such as val,test.")
-    ] = "test",
+        str | None,
+        option("NAMES", "Splits of a whole data set to measure on together, such as val,test (default: test)."),
+    ] = None,
     paper_model: PaperModelOption = None,
     production_category: Annotated[
         int, option("N", "PVDN's image category for the production system's detection.", min=0, max=7)
@@ -32,15 +33,21 @@ def command(
     from foreglow.lab.studies.paper_chain import paper_chain
     from foreglow.lab.studies.reproduction.claims import beside_paper
     from foreglow.lab.studies.time_benefit.page import summary_lines, write_report
-    from foreglow.lab.studies.time_benefit.run import run_experiment
+    from foreglow.lab.studies.time_benefit.run import LEAST_RATE_HZ, run_experiment
 
     require_matplotlib()
     paper = None if paper_model is None else paper_chain(paper_model)
-    folders = [split_in(data, cast("SplitName", name)) for name in listed("--split", split)]
-    if is_split(data):  # whatever the names, it is one
-        folders = folders[:1]
+    if split is not None and is_split(data):
+        raise ValueError(f"--split: expected a whole data set with it, {data} is a single split")
+    folders = [split_in(data, cast("SplitName", name)) for name in listed("--split", split or "test")]
     check_each_once(folders, "--split")
     datasets = [open_labelled(folder) for folder in folders]
+    for dataset in datasets:
+        if dataset.rate_hz < LEAST_RATE_HZ:
+            raise ValueError(
+                f"{dataset.root}: rate_hz: expected at least {LEAST_RATE_HZ:g}, as below it five frames take longer "
+                f"than a human, got {dataset.rate_hz:g}"
+            )
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
         results = run_experiment(datasets, pipeline.configuration(), categories, progress, paper)

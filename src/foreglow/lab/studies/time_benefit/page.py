@@ -23,7 +23,13 @@ from foreglow.lab.studies.time_benefit.metrics import (
     least_delay_s,
     mean_timeline,
 )
-from foreglow.lab.studies.time_benefit.run import FIVE_FRAMES, PAPER_CHAIN, PAPER_SINGLE_FRAME, TimeBenefitResults
+from foreglow.lab.studies.time_benefit.run import (
+    FIVE_FRAMES,
+    LEAST_RATE_HZ,
+    PAPER_CHAIN,
+    PAPER_SINGLE_FRAME,
+    TimeBenefitResults,
+)
 
 COLOURS = {"single frame": AMBER, "tracker, paper": BLUE, "tracker, ours": GREEN}
 CHAIN_COLOURS = {PAPER_SINGLE_FRAME: "#f0d0a8", PAPER_CHAIN: "#b5c9e6"}
@@ -167,10 +173,12 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
     unreported = [encounter for encounter in results.encounters if math.isnan(encounter.production_s)]
     page = Page(f"Time benefit on {results.name}")
     page.text(
-        f"{results.num_sequences} sequences; in {len(results.encounters)} of them a vehicle's light is annotated, in "
-        f"{len(occluded)} before its lamps. In {len(unreported)} the production system reports nothing: they are left "
-        "out of what is compared with it."
+        f"{results.num_sequences} sequences at {_rates(results)}; in {len(results.encounters)} of them a vehicle's "
+        f"light is annotated, in {len(occluded)} before its lamps. In {len(unreported)} the production system reports "
+        "nothing: they are left out of what is compared with it."
     )
+    if min(results.rates_hz) < LEAST_RATE_HZ:
+        page.text(f"Below {LEAST_RATE_HZ:g} Hz five frames take longer than a human: these times say little.")
     table = Table.of(METHOD_COLUMNS, results.methods)
     blanks = dict.fromkeys(METHOD_COLUMNS, DASH)
     paper = [
@@ -209,6 +217,10 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
     return page.write(folder / "report.md", results=results, files=files)
 
 
+def _rates(results: TimeBenefitResults) -> str:
+    return " and ".join(f"{rate_hz:g} Hz" for rate_hz in dict.fromkeys(results.rates_hz))
+
+
 def summary_lines(results: TimeBenefitResults) -> list[str]:
     """What the command says: our tracker in three lines."""
     ours = results.method("tracker, ours")
@@ -216,8 +228,8 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
     before, num = ours.benefit.occluded_before_production_s, len(results.encounters)
     num_occluded = sum(encounter.is_occluded for encounter in results.encounters)
     return [
-        f"{num} vehicle{'' if num == 1 else 's'}, {num_occluded} of them occluded at first; our tracker confirms "
-        f"{percent(ours.benefit.provident_share)} of these before their first lamp",
+        f"{num} vehicle{'' if num == 1 else 's'} at {_rates(results)}, {num_occluded} of them occluded at first; our "
+        f"tracker confirms {percent(ours.benefit.provident_share)} of these before their first lamp",
         f"these {signed(before.mean)} s before the production system (mean of {before.num}), all "
         f"{signed(ours.benefit.before_human_s.mean)} s before a human",
         f"{number(ours.false.per_minute)} false confirmed tracks a minute, {number(ours.false.per_km)} a kilometre",

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
 from foreglow.datasets import CategoryConfig, ImageCategory, LabelledSource
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
-from foreglow.lab.evaluation.vehicles import Encounter, SequenceTracks, first_found, match_tracks, read_encounters
+from foreglow.lab.evaluation.vehicles import (
+    HUMAN_DELAY_S,
+    Encounter,
+    SequenceTracks,
+    first_found,
+    match_tracks,
+    read_encounters,
+)
 from foreglow.lab.studies.progress import Progress, counted
 from foreglow.lab.studies.time_benefit.metrics import (
     FalseTracks,
@@ -70,6 +77,9 @@ FIVE_FRAMES = "5 frames"
 """The paper's setting, on the curve of its rule."""
 
 
+LEAST_RATE_HZ = 4 / HUMAN_DELAY_S
+"""Below this rate the paper's tracker, which waits for five frames, cannot be earlier than a human."""
+
 SINGLE_FRAME = "single frame"
 
 PAPER_SINGLE_FRAME, PAPER_CHAIN = "single frame, paper's whole chain", "tracker, paper's whole chain"
@@ -81,6 +91,7 @@ class TimeBenefitResults:
 
     Attributes:
         name: Of the split, or of all splits.
+        rates_hz: Frames a second, of each split.
         encounters: The first vehicle of each sequence with one.
         curves: By rule of confirmation, one row a setting.
         categories: By the name of an image category, when the first image in it was taken, one time an encounter, in
@@ -88,6 +99,7 @@ class TimeBenefitResults:
     """
 
     name: str
+    rates_hz: tuple[float, ...]
     config: PipelineConfig
     encounters: tuple[Encounter, ...]
     num_sequences: int
@@ -101,7 +113,7 @@ class TimeBenefitResults:
 
     def to_json(self) -> dict[str, Any]:
         """All figures by name, without the configuration."""
-        names = ("name", "num_sequences", "encounters", "methods", "curves", "categories")
+        names = ("name", "rates_hz", "num_sequences", "encounters", "methods", "curves", "categories")
         return {name: getattr(self, name) for name in names}
 
 
@@ -185,6 +197,7 @@ def run_experiment(
         ]
     return TimeBenefitResults(
         name=" and ".join(split.name for split in splits),
+        rates_hz=tuple(dataset.rate_hz for dataset in datasets),
         config=config,
         encounters=encounters,
         num_sequences=sum(split.num_sequences for split in splits),
