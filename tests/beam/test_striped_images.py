@@ -32,7 +32,7 @@ def striped(drive: list[Image], width: int, axis: int, *, are_black: bool) -> li
 
 @pytest.mark.parametrize("are_black", [False, True])
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 8])
+@pytest.mark.parametrize("width", [1, 3, 8])
 @pytest.mark.parametrize("coding", CODINGS)
 def test_stripes(drive: list[Image], coding: Coding | None, width: int, axis: int, are_black: bool) -> None:
     """As where a field of an interlaced camera, or a channel of a sensor, comes no more."""
