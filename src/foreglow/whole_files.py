@@ -111,7 +111,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
                 if block is not None:
                     block.add(path, temporary, held)
             if block is None:
-                _put(temporary, path, whole)
+                put(temporary, whole, path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -143,45 +143,36 @@ def together() -> Iterator[None]:
         block.release()
 
 
-def identity(path: Path) -> Identity:
-    """By what the file at `path` is known to be the same, unchanged; None if there is none."""
+def replaces_only(path: Path) -> None:
+    """Remembers what is at `path` now: if another file is there when one is to replace it, that one stays."""
+    _FOUND[path.absolute()] = _identity(path)
+
+
+def put(temporary: Path, whole: Path, name: Path) -> None:
+    """Renames a finished file; if somebody has written there since `replaces_only`, it gets the partial name instead.
+
+    Args:
+        temporary: The file.
+        whole: Where it is to be, as an absolute path.
+        name: The same, as the user knows it.
+
+    Raises:
+        FileExistsError: If somebody has; the message names both files.
+        OSError: If it cannot be renamed.
+    """
+    if whole in _FOUND and _identity(whole) not in (_FOUND.pop(whole), None):
+        temporary.replace(partial_path(whole))
+        words = f"somebody wrote another file there meanwhile; the new one is in {partial_path(name)}"
+        raise FileExistsError(errno.EEXIST, words, str(name))
+    temporary.replace(whole)
+
+
+def _identity(path: Path) -> Identity:
     try:
         found = path.stat()
     except FileNotFoundError:
         return None
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
-
-
-def replaces_only(path: Path) -> None:
-    """Remembers what is at `path` now: if another file is there when one is to replace it, that one stays."""
-    _FOUND[path.absolute()] = identity(path)
-
-
-def check_unchanged(path: Path, found: Identity, kept: Path) -> None:
-    """Checks that nobody has written to `path` since.
-
-    Args:
-        path: Where a file is to be.
-        found: What was there before.
-        kept: Where the new file is.
-
-    Raises:
-        FileExistsError: If another file is there.
-    """
-    if identity(path) not in (found, None):
-        words = f"somebody wrote another file there meanwhile; the new one is in {kept}"
-        raise FileExistsError(errno.EEXIST, words, str(path))
-
-
-def _put(temporary: Path, path: Path, whole: Path) -> None:
-    """Gives a finished file the name `path`, whose absolute one is `whole`."""
-    if whole in _FOUND:
-        try:
-            check_unchanged(path, _FOUND.pop(whole), partial_path(path))
-        except FileExistsError:
-            temporary.replace(partial_path(whole))
-            raise
-    temporary.replace(whole)
 
 
 def make_folder(path: Path) -> None:
@@ -215,7 +206,7 @@ class _Block:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         for path, temporary in self._temporaries.items():
             with naming(path, in_place_of=temporary):
-                _put(temporary, path, temporary.with_name(path.name))
+                put(temporary, temporary.with_name(path.name), path)
 
     def discard(self) -> None:
         for temporary in self._temporaries.values():

@@ -74,10 +74,10 @@ def import_(
 ) -> None:
     """Make a data set of labels and their images, which every command takes."""
     from foreglow.datasets import exchange
-    from foreglow.runs.origin import digests_of_images
+    from foreglow.runs.origin import digests_of
 
     dataset = exchange.LabelFile(source, images)
-    exchange.write_split(dataset, out, digests_of_images(dataset))
+    exchange.write_split(dataset, out, digests_of(dataset))
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:

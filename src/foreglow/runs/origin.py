@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from foreglow.datasets import FrameSource, origin_of
+from foreglow.datasets import PVDN, FrameSource, LabelledSource, origin_of
 from foreglow.datasets.exchange import LabelFile, is_labels
 from foreglow.datasets.exchange.transfer import ORIGIN
 from foreglow.datasets.images import IMAGE_SUFFIXES
-from foreglow.datasets.pvdn.labels import read_labels
 from foreglow.datasets.pvdn.splits import find_split, is_pvdn
 from foreglow.files import MIB
 from foreglow.outputs import exists
@@ -54,37 +53,22 @@ def origin_digest(path: Path) -> str | None:
     return digest.hexdigest() if images else None
 
 
-def digests_of(labelled: Path) -> set[str]:
-    """The digests of what labels at `labelled` are for: of a split, also those of its sequences, and the reverse.
+def digests_of(dataset: LabelledSource) -> set[str]:
+    """The digests of what a run on the images of a data set may have been made from.
 
-    Raises:
-        FileNotFoundError: If the images of a file of labels are not beside it.
-        ValueError: If the file of labels is broken, or there are several splits.
+    Of a split, these are also those of its sequences, and the reverse; of a file of labels, the video or the folders.
     """
-    if is_labels(labelled):
-        return digests_of_images(LabelFile(labelled))
-    paths = [labelled]
-    if is_pvdn(labelled):
-        split = find_split(labelled)[0]
-        paths += [split, *(split / "images").glob("*/")]
+    paths: Collection[Path] = ()
+    if isinstance(dataset, LabelFile):
+        paths = dataset.places
+    elif isinstance(dataset, PVDN):
+        paths = (dataset.root, *(dataset.root / "images").glob("*/"))
     return {digest for path in paths if (digest := origin_digest(path)) is not None}
 
 
-def digests_of_images(dataset: LabelFile) -> set[str]:
-    """The digests of what a run on the images of `dataset` may have been made from."""
-    return {digest for path in dataset.places if (digest := origin_digest(path)) is not None}
-
-
-def stated_origins(labelled: Path) -> set[str]:
-    """As `digests_of_images`, of what the labels at `labelled` were imported for; none if they do not say so.
-
-    Raises:
-        FileNotFoundError: If a label file is missing.
-        ValueError: If one is broken, or there are several splits.
-    """
-    if not is_pvdn(labelled):
-        return set()
-    found = read_labels(find_split(labelled)[0]).images_file.info.get(ORIGIN)
+def stated_origins(dataset: LabelledSource) -> set[str]:
+    """As `digests_of`, of what the labels of a split were imported for; none if they do not say so."""
+    found = dataset.labels.images_file.info.get(ORIGIN) if isinstance(dataset, PVDN) else None
     return {each for each in found if isinstance(each, str)} if isinstance(found, list) else set()
 
 

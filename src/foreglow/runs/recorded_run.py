@@ -305,14 +305,13 @@ def doubt_about_labels(run: Path, labelled: Path, dataset: LabelledSource) -> st
         dataset: They, opened.
 
     Raises:
-        FileNotFoundError: If a label file is missing.
         ValueError: If they are for other images, or the run's summary is broken.
     """
     path = run / "summary.json"
     summary = read_summary(path) if path.is_file() else None
     if summary is None or summary.source_digest is None:
         return None
-    images, stated = digests_of(labelled), stated_origins(labelled)
+    images, stated = digests_of(dataset), stated_origins(dataset)
     if summary.source_digest in images | stated:
         return None
     source = Path(summary.source)

@@ -19,7 +19,7 @@ from foreglow.files import path_in_unicode
 from foreglow.folder_lock import lock
 from foreglow.outputs import check_replaceable
 from foreglow.runs.origin import full_name
-from foreglow.whole_files import check_unchanged, identity, partial_path
+from foreglow.whole_files import partial_path, put, replaces_only
 
 
 class GrowingFile:
@@ -141,7 +141,7 @@ class RecordingFile:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         check_replaceable(path)
         self.path, self._partial = path, partial_path(path)
-        self._replaced = identity(path)
+        replaces_only(path)
         self._file = GrowingFile(self._partial, path)
         self.context = foxglove.Context()  # kept: its channels live as long as it does
         self._writer = foxglove.open_mcap(
@@ -196,8 +196,7 @@ class RecordingFile:
         if not had_failed:
             self._check()
             self._is_complete = True
-            check_unchanged(self.path, self._replaced, self._partial)
-            self._partial.replace(self.path)
+            put(self._partial, self.path.absolute(), self.path)
 
     def discard(self) -> None:
         """Deletes what was written, unless it was completed before; also after a `close` that failed."""
