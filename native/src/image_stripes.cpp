@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdlib>
 
 namespace foreglow {
 namespace {
@@ -11,8 +12,8 @@ constexpr std::int64_t least_across = 128;            // pixels of each row, at 
 constexpr double least_change = 0.05;                 // 8-bit grey levels: in the dark nothing may change
 constexpr double top_level = 255.0;                   // the greatest value has so many 8-bit grey levels
 
-std::uint32_t difference(std::uint16_t one, std::uint16_t other) {
-    return static_cast<std::uint32_t>(std::max(one, other) - std::min(one, other));
+std::uint32_t difference(std::int32_t one, std::int32_t other) {
+    return static_cast<std::uint32_t>(std::abs(one - other));
 }
 
 // Reorders the values. The mean of the two middle ones of an even number; 0 without any.
@@ -38,7 +39,7 @@ void ImageStripes::cut(const ImageView& image) {
         bands.pixels.resize(static_cast<std::size_t>(bands.num * bands.num_across * bands.num_in_band));
         for (std::int64_t band = 0; band < bands.num; ++band) {
             const std::int64_t start = band * (along - bands.num_in_band) / std::max<std::int64_t>(1, bands.num - 1);
-            std::uint16_t* to = bands.pixels.data() + band * bands.num_across * bands.num_in_band;
+            std::int32_t* to = bands.pixels.data() + band * bands.num_across * bands.num_in_band;
             if (axis == 0) {
                 for (std::int64_t j = 0; j < bands.num_in_band; ++j) {
                     const Pixel* row = image.row<Pixel>(start + j) + step / 2;
@@ -63,8 +64,8 @@ Alternation ImageStripes::alternation(const Bands& before, const Bands& now, std
         std::uint32_t sums[band_px] = {};
         for (std::int64_t i = 0; i < now.num_across; ++i) {
             const std::int64_t first = (band * now.num_across + i) * num;
-            const std::uint16_t* is = now.pixels.data() + first;
-            const std::uint16_t* was = before.pixels.data() + first;
+            const std::int32_t* is = now.pixels.data() + first;
+            const std::int32_t* was = before.pixels.data() + first;
             std::uint32_t near_here = 0, far_here = 0;
             for (std::int64_t j = 0; j < num; ++j) sums[j] += difference(is[j], was[j]);
             for (std::int64_t j = 0; j + 1 < num; ++j) near_here += difference(is[j], is[j + 1]);

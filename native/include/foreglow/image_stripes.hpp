@@ -30,7 +30,7 @@ public:
 private:
     struct Bands {
         std::int64_t num = 0, num_across = 0, num_in_band = 0;
-        std::vector<std::uint16_t> pixels;  // [band][across][row]
+        std::vector<std::int32_t> pixels;  // [band][across][row]; of this type, as differences of it are quick
     };
 
     template <typename Pixel>
