@@ -85,6 +85,7 @@ def node(name: str, *inputs: str, domain: str = "", **attributes: Any) -> Any:
         (lambda: in_branch(node("Cast", "logits", to=TensorProto.STRING)), "a Cast to texts"),
         (lambda: in_branch(node("SplitToSequence", "logits")), "the operation 'SplitToSequence'"),
         (lambda: model_of(node("Optional", "logits")), "the operation 'Optional'"),
+        (lambda: model_of(node("NonZero", "logits")), "the operation 'NonZero'"),
         (lambda: model_of(node("StringNormalizer", "text")), "the operation 'StringNormalizer'"),
         (lambda: model_of(node("Abs", "logits", domain="ai.onnx.ml")), "of the domain 'ai.onnx.ml'"),
         (lambda: model_of(node("Loop\n\x1b[31m" + "x" * 1000)), r"the operation 'Loop\\n\\x1b"),

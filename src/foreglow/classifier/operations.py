@@ -1,7 +1,8 @@
 """What an ONNX model consists of: only operations on tensors of numbers, whose memory ONNX Runtime bounds.
 
-Texts, sequences and maps take memory from elsewhere, so a few hundred bytes may ask for any amount; loops take any
-time; functions may call each other.
+Texts, sequences and maps take memory from elsewhere, so a few hundred bytes may ask for any amount, and so do the
+places that `NonZero` finds, instead of which `Compress` takes what it finds; loops take any time; functions may call
+each other.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from foreglow.protobuf import protobuf_fields
 from foreglow.wording import shortened
 
 MAX_NODES = 10_000
-"""Operations of a model; ours has 13, and ResNet-152 some 500."""
+"""Operations of a model; ours has some 100, and ResNet-152 some 500."""
 
 _NAMES = (
     "Abs Acos Acosh Add AffineGrid And ArgMax ArgMin Asin Asinh Atan Atanh Attention AveragePool "
@@ -23,10 +24,10 @@ _NAMES = (
     "GlobalMaxPool Greater GreaterOrEqual GridSample GroupNormalization HardSigmoid HardSwish Hardmax Identity If "
     "InstanceNormalization IsInf IsNaN LRN LSTM LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax "
     "LpNormalization LpPool MatMul MatMulInteger Max MaxPool MaxRoiPool MaxUnpool Mean MeanVarianceNormalization "
-    "Min Mish Mod Mul Neg NonZero Not OneHot Or PRelu Pad Pow QLinearConv QLinearMatMul QuantizeLinear "
-    "RMSNormalization RNN Range Reciprocal ReduceL1 ReduceL2 ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean "
-    "ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize ReverseSequence RoiAlign RotaryEmbedding "
-    "Round Scatter ScatterElements ScatterND Selu Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus "
+    "Min Mish Mod Mul Neg Not OneHot Or PRelu Pad Pow QLinearConv QLinearMatMul QuantizeLinear RMSNormalization "
+    "RNN Range Reciprocal ReduceL1 ReduceL2 ReduceLogSum ReduceLogSumExp ReduceMax ReduceMean ReduceMin "
+    "ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize ReverseSequence RoiAlign RotaryEmbedding Round "
+    "Scatter ScatterElements ScatterND Selu Shape Shrink Sigmoid Sign Sin Sinh Size Slice Softmax Softplus "
     "Softsign SpaceToDepth Split Sqrt Squeeze Sub Sum Swish Tan Tanh ThresholdedRelu Tile TopK Transpose Trilu "
     "Unsqueeze Upsample Where Xor"
 )

@@ -239,11 +239,13 @@ class Graph:
         self.nodes.append(helper.make_node(operator, list(inputs), [output], name=output, **attributes))
         return output
 
-    def constant(self, values: NDArray[Any] | list[int]) -> str:
-        """A constant of the graph, float32, or int64 for a list."""
+    def constant(self, values: NDArray[Any] | list[int] | int) -> str:
+        """A constant of the graph: float32 for an array, int64 for integers."""
         from onnx import numpy_helper
 
-        array = np.array(values, np.int64) if isinstance(values, list) else np.ascontiguousarray(values, np.float32)
+        array = (
+            np.array(values, np.int64) if isinstance(values, (list, int)) else np.ascontiguousarray(values, np.float32)
+        )
         name = f"constant{len(self.constants)}"
         self.constants.append(numpy_helper.from_array(array, name))
         return name
