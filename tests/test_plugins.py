@@ -57,7 +57,7 @@ class NoTracks(Tracker):
     """Follows nothing."""
 
     def __init__(self, config: Any = None) -> None:  # noqa: ARG002
-        self._tracker = make_tracker(TrackerConfig(min_score=1.0))
+        self._tracker = make_tracker(TrackerConfig(min_score=0.999999))
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         return self._tracker.update(frame, detections, ranges)

@@ -163,7 +163,7 @@ def test_files_lie_where_they_say(tmp_path: Path) -> None:
 
 
 def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
-    base = led_file(tmp_path, "base.ies", 0.0, -2.0, 500.0)
+    base = led_file(tmp_path, "base.ies", 0.0, -2.0, 5000.0)
     lamps = read_headlamps(grid_file(tmp_path, f'base = "{base}"'))
     table = lamps.left.matrix.base
     assert np.diff(table.azimuths_deg).max() <= 0.6
@@ -171,7 +171,7 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
     assert table.elevations_deg[-1] >= 3.5
     down = np.radians(-2.5)
     base_cd, leds_cd = lamps.intensities_cd([[np.cos(down), 0.0, np.sin(down)], [1.0, 0.0, 0.0]])
-    np.testing.assert_allclose(base_cd[:, 0], [250.0, 0.0], atol=0.5)
+    np.testing.assert_allclose(base_cd[:, 0], [2500.0, 0.0], atol=5)
     np.testing.assert_allclose(leds_cd[1, 0, 1], 20_000 * np.exp(-0.5 * (1.5 / 8) ** 2 - (1.5 / 1.8) ** 2.5), rtol=0.01)
 
 
@@ -186,13 +186,21 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("led_files = [['one.ies'], ['one.ies', 'one.ies']]", "", r"left.led_files: expected rows of one length"),
         ("led_files = [['one.ies']]\nturn_deg = 1.0", "", "left.turn_deg: expected only with"),
         ("led_files = [['dark.ies']]", "", "left.led_files: LED 0: expected light"),
-        ("base = 'dark.ies'\nled_files = [['one.ies']]", "", "left.base: expected light in some direction, got 0 cd"),
+        ("base = 'dark.ies'\nled_files = [['one.ies']]", "", "left.base: expected at least 1000 cd .*, got 0 cd"),
+        ("led_files = [['one.ies', 'dim.ies']]", "", "left.led_files: LED 1: expected at least 1 cd .*, got 0.5"),
+        (
+            "led_files = [['half.ies']]",
+            "",
+            "left.led_files: all LEDs together: expected at least 1000 cd .*, got 500 cd",
+        ),
         ("led_files = [['one.ies']]", GRID, "left.led_files: expected either these or .grid., got both"),
         ("", "", "left.led_files: missing, and there is no .grid. either"),
         ("", GRID.replace("pitch_deg = 3", "pitch_deg = 0"), "grid.pitch_deg: .*greater than 0"),
         ("", GRID.replace("side_sigma_deg = 8.0", "side_sigma_deg = 1e-300"), "grid.side_sigma_deg: .*equal to 0.001"),
         ("", GRID.replace("[0.0, 2.0]", "[2.0, 0.0]"), "grid.row_elevations_deg: expected growing"),
         ("", GRID.replace("[20000.0, 10000.0]", "[1.0]"), "grid.row_peaks_cd: expected one for each of 2 rows, got 1"),
+        ("", GRID.replace("[20000.0, 10000.0]", "[0.0, 10000.0]"), "grid: LED 0: expected at least 1 cd .*, got 0"),
+        ("", GRID.replace("[20000.0, 10000.0]", "[20.0, 10.0]"), "grid: all LEDs together: expected at least 1000 cd"),
         ("", GRID.replace("edge_exponent = 2.5", ""), "grid.edge_exponent: missing"),
         ("", GRID.replace("pitch_deg = 3", "pitch_deg = 80"), "grid: num_columns: expected columns within 90 degrees"),
         (
@@ -206,6 +214,8 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
 def test_faults_are_named(tmp_path: Path, left: str, grid: str, complaint: str) -> None:
     led_file(tmp_path, "one.ies", 0.0, 0.0)
     led_file(tmp_path, "dark.ies", 0.0, 0.0, 0.0)
+    led_file(tmp_path, "dim.ies", 0.0, 0.0, 0.5)
+    led_file(tmp_path, "half.ies", 0.0, 0.0, 500.0)
     (tmp_path / "broken.ies").write_text("nothing")
     path = grid_file(tmp_path, left, "led_files = [['one.ies']]" if "led_files" in left and not grid else "", grid)
     with pytest.raises(ValueError, match=complaint) as caught:

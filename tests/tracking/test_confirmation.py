@@ -18,6 +18,7 @@ from foreglow.tracking.confirmation import (
     MAX_SCORE_EVIDENCE,
     NEUTRAL_RANGE_M,
     RANGES_M,
+    Company,
     Observations,
     scores_with_ranges,
 )
@@ -29,7 +30,7 @@ def history(config: TrackerConfig, scores: Sequence[float]) -> list[bool]:
 
 
 def outcomes(
-    config: TrackerConfig, scores: Sequence[float], since_plausible_s: float = inf
+    config: TrackerConfig, scores: Sequence[float], since_others_s: float = inf
 ) -> list[tuple[bool, np.ndarray]]:
     rule = CONFIRMATIONS[config.confirmation](config)
     memory, plausible = np.zeros((1, rule.memory_size)), np.zeros(1, np.bool_)
@@ -40,7 +41,7 @@ def outcomes(
         num_hits = num_hits + ~np.isnan(newest)
         confidences = moving_mean(confidences, newest, config.alpha_confidence)
         memory, plausible = rule.update(
-            memory, Observations(newest, num_hits, confidences, plausible, since_plausible_s)
+            memory, Observations(newest, num_hits, confidences, plausible, np.array([since_others_s]))
         )
         assert memory.shape == (1, rule.memory_size)
         assert plausible.dtype == np.bool_
@@ -199,3 +200,17 @@ class TestRanges:
         at_limits = scores_with_ranges(np.full(2, 0.4), np.array(RANGES_M), 2.0)
         np.testing.assert_array_equal(scores_with_ranges(np.full(2, 0.4), np.array([1.0, 1e6]), 2.0), at_limits)
         assert at_limits[0] < 0.4 < at_limits[1]
+
+
+def test_company_is_any_other_that_was_plausible() -> None:
+    company, ids = Company(), np.array([3, 5, 7])
+    assert company.since_others_s(ids, 1.0).tolist() == [inf] * 3
+    company.note(np.array([5]), 1.0)
+    assert company.since_others_s(ids, 2.0).tolist() == [1.0, inf, 1.0]
+    company.note(np.array([5]), 2.0)
+    assert company.since_others_s(ids, 4.0).tolist() == [2.0, inf, 2.0]
+    company.note(np.array([7]), 4.0)
+    assert company.since_others_s(ids, 5.0).tolist() == [1.0, 1.0, 3.0]
+    company.note(np.array([3, 5, 7]), 6.0)
+    company.note(np.array([], np.int64), 7.0)
+    assert company.since_others_s(ids, 8.0).tolist() == [2.0] * 3

@@ -57,6 +57,16 @@ def test_far_light_is_another_vehicle() -> None:
     assert vehicles_of(tracks).states.tolist() == [TrackState.CONFIRMED] * 2
 
 
+@pytest.mark.parametrize("config", [OURS, ALONE])
+def test_what_was_plausible_a_moment_ago_is_no_company_to_itself(config: TrackerConfig) -> None:
+    """Company makes a second light wait; the vehicle that was confirmed, and doubted for a moment, is the first one."""
+    doubt, new = (*LAMP[:4], 0.11), (*FAR_LAMP[:4], 0.9)
+    *_, sure, doubted, again = followed([LAMP], [LAMP], *[[doubt]] * 4, [LAMP, new], config=config)
+    assert sure.is_plausible.all()
+    assert not doubted.is_plausible.any()
+    assert again.is_plausible.tolist() == [True, False]
+
+
 def test_light_that_begins_together_is_one_vehicle_also_through_others() -> None:
     row = [(100 + 30 * place, 400, 120 + 30 * place, 416, 0.9) for place in range(4)]
     assert vehicles_of(followed(row)[-1]).of_tracks.tolist() == [0] * 4

@@ -220,8 +220,8 @@ class TrackerConfig(FrozenModel):
         detection_probability: Probability that light is detected in a frame while its track exists (`evidence`).
         confirm_evidence: Log-likelihood ratio above which a track becomes plausible (`evidence`).
         reject_evidence: Log-likelihood ratio down to which it stays plausible (`evidence`).
-        company_evidence: Additional ratio that a second track needs near a plausible one (`evidence`).
-        company_s: A track that was plausible so recently counts as a plausible one there (`evidence`).
+        company_evidence: Additional ratio that a second track needs beside a plausible one (`evidence`).
+        company_s: Another track that was plausible so recently counts as a plausible one there (`evidence`).
         range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none.
         restless_evidence: Weight of how restless a light is as evidence for a vehicle beside the score, if it is no
             lamp in sight; 0 for none.
@@ -234,7 +234,7 @@ class TrackerConfig(FrozenModel):
     method: str = "alpha_beta"
     clock: Literal["frames", "time"] = "frames"
     rate_hz: Annotated[float, Field(ge=0.1, le=1000)] = 18.0
-    min_score: Annotated[float, Field(ge=0, le=1)] = 0.1
+    min_score: Annotated[float, Field(ge=0, lt=1)] = 0.1
     alpha_centre: Annotated[float, Field(gt=0, le=1)] = 0.5
     alpha_size: Annotated[float, Field(gt=0, le=1)] = 0.3
     alpha_range: Annotated[float, Field(gt=0, le=1)] = 0.8

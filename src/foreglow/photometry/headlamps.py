@@ -21,6 +21,12 @@ from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
 from foreglow.wording import check_one_of
 
+MIN_BEAM_CD = 1000.0
+"""The least peak of a low beam, and of all LEDs of a lamp together; real ones have ten to forty times as much."""
+
+MIN_LED_CD = 1.0
+"""The least peak of an LED: the bundled ones that look furthest aside have some 2,500 cd."""
+
 MARGIN = 2
 """Width of the border of dark cells around the LEDs' tables; directions outside are looked up in it."""
 
@@ -302,15 +308,16 @@ def _read(path: Path) -> Headlamps:
 
 def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) -> MatrixLamp:
     base = low_beam() if lamp.base is None else _table(path, f"{side}.base", lamp.base)
-    if not base.intensities_cd.any():
-        raise ValueError(f"{path}: {side}.base: expected light in some direction, got 0 cd in all")
+    _check_bright(base.intensities_cd, f"{path}: {side}.base")
     if lamp.led_files is None:
         if grid is None:
             raise ValueError(f"{path}: {side}.led_files: missing, and there is no [grid] either")
         try:
-            return grid_lamp(base, grid, lamp.turn_deg)
+            made = grid_lamp(base, grid, lamp.turn_deg)
         except ValueError as error:
             raise ValueError(f"{path}: grid: {error}") from error
+        _check_leds(made, f"{path}: grid")
+        return made
     if grid is not None:
         raise ValueError(f"{path}: {side}.led_files: expected either these or [grid], got both")
     leds, num_cells = [], 0
@@ -320,9 +327,32 @@ def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) 
         if num_cells > MAX_LED_CELLS:
             raise ValueError(f"{path}: {side}.led_files: expected at most {MAX_LED_CELLS} cells in all, got more")
     try:
-        return measured_lamp(base, leds, len(lamp.led_files[0]))
+        made = measured_lamp(base, leds, len(lamp.led_files[0]))
     except ValueError as error:
         raise ValueError(f"{path}: {side}.led_files: {error}") from error
+    _check_leds(made, f"{path}: {side}.led_files")
+    return made
+
+
+def _check_leds(lamp: MatrixLamp, name: str) -> None:
+    """Passes LEDs of which each shines, and that make a headlamp together: a guard that thinks them dark limits none.
+
+    Raises:
+        ValueError: If they do not; the message begins with `name`.
+    """
+    peaks_cd = lamp.leds_cd.max(axis=(1, 2))
+    darkest = int(peaks_cd.argmin())
+    if peaks_cd[darkest] < MIN_LED_CD:
+        raise ValueError(
+            f"{name}: LED {darkest}: expected at least {MIN_LED_CD:g} cd in some direction, got {peaks_cd[darkest]:g}"
+        )
+    _check_bright(lamp.leds_cd.sum(axis=0), f"{name}: all LEDs together")
+
+
+def _check_bright(intensities_cd: NDArray[np.floating], name: str) -> None:
+    peak_cd = float(intensities_cd.max())
+    if peak_cd < MIN_BEAM_CD:
+        raise ValueError(f"{name}: expected at least {MIN_BEAM_CD:g} cd in some direction, got {peak_cd:g} cd")
 
 
 def _table(path: Path, field_name: str, file: Path) -> IntensityTable:

@@ -26,6 +26,7 @@ Sources: Page, Continuous inspection schemes, 1954; for tracks: Blackman, Multip
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -68,14 +69,33 @@ class Observations:
         num_hits: Shape (M,), detections so far, this one included.
         confidences: Shape (M,), the filtered score.
         was_plausible: Shape (M,), before this frame.
-        since_plausible_s: Time since any track was plausible, not counting this frame; infinite if none ever was.
+        since_others_s: Shape (M,), time since any other track was plausible, not counting this frame; infinite if none
+            ever was.
     """
 
     scores: Floats
     num_hits: NDArray[np.int64]
     confidences: Floats
     was_plausible: NDArray[np.bool_]
-    since_plausible_s: float
+    since_others_s: Floats
+
+
+class Company:
+    """When others were plausible: remembers which two of all tracks, or vehicles, were so last."""
+
+    def __init__(self) -> None:
+        self._last, self._before = (-1, -math.inf), (-1, -math.inf)  # id, and when
+
+    def since_others_s(self, ids: NDArray[np.int64], now_s: float) -> Floats:
+        """Time since any but each of `ids`, shape (M,), was plausible, shape (M,); infinite if none ever was."""
+        return now_s - np.where(ids == self._last[0], self._before[1], self._last[1])
+
+    def note(self, plausible_ids: NDArray[np.int64], now_s: float) -> None:
+        """Takes those that are plausible now."""
+        for found in plausible_ids[:2].tolist():
+            if found != self._last[0]:
+                self._before = self._last
+            self._last = found, now_s
 
 
 class ConfirmationRule(Protocol):
@@ -146,8 +166,8 @@ class EvidenceRule:
         hits = np.minimum(np.maximum(logits, -MAX_SCORE_EVIDENCE), MAX_SCORE_EVIDENCE) - self._neutral  # (1)
         evidence = memory[:, 0] + np.where(np.isnan(hits), self._miss, hits)
         evidence = np.minimum(np.maximum(evidence, 0.0), MAX_EVIDENCE)  # (3)
-        is_second = observed.since_plausible_s <= self._company_s
-        needed = self._confirm + (self._company if is_second else 0.0)
+        is_second = observed.since_others_s <= self._company_s
+        needed = self._confirm + np.where(is_second, self._company, 0.0)
         return evidence[:, None], (evidence > needed) | (observed.was_plausible & (evidence > self._reject))  # (4)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from foreglow.tracking.association import (
     is_range_apart,
     overlaps,
 )
-from foreglow.tracking.confirmation import CONFIRMATIONS, Observations, scores_with_ranges
+from foreglow.tracking.confirmation import CONFIRMATIONS, Company, Observations, scores_with_ranges
 from foreglow.tracking.interface import Tracker
 from foreglow.tracking.looming import fused, looming_ranges, rate_noise
 from foreglow.tracking.measurements import Measurements, measurements
@@ -70,7 +69,7 @@ class AlphaBetaTracker(Tracker):
     def reset(self) -> None:
         """Forgets all tracks, as at the start of a sequence; ids begin again."""
         self._now_s = 0.0
-        self._plausible_s = -math.inf
+        self._company = Company()
         self._timestamp_ns: int | None = None
         self._size_px: tuple[int, int] | None = None
         self._boxes: NDArray[np.int32] = np.zeros((0, 4), np.int32)
@@ -230,11 +229,10 @@ class AlphaBetaTracker(Tracker):
             num_hits=states.num_hits,
             confidences=states.confidences,
             was_plausible=states.is_plausible,
-            since_plausible_s=self._now_s - self._plausible_s,
+            since_others_s=self._company.since_others_s(states.ids, self._now_s),
         )
         states.memory, states.is_plausible = self._rule.update(states.memory, observed)
-        if states.is_plausible.any():
-            self._plausible_s = self._now_s
+        self._company.note(states.ids[states.is_plausible], self._now_s)
 
     def _correct_sigmas(self, taken: Measurements, step_s: float) -> None:
         """Updates the standard deviations of the ranges, and the history where ranges are averaged."""

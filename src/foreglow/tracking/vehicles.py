@@ -15,7 +15,6 @@ a confirmed vehicle are plausible, except those whose own scores speak against l
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,7 @@ from scipy.sparse.csgraph import connected_components
 from foreglow.config import TrackerConfig
 from foreglow.geometry import Floats
 from foreglow.tracking.alpha_beta import moving_mean
-from foreglow.tracking.confirmation import CONFIRMATIONS, Observations
+from foreglow.tracking.confirmation import CONFIRMATIONS, Company, Observations
 from foreglow.tracking.states import RANGE, TrackStates
 from foreglow.types import TrackState, Vehicles
 from foreglow.types.kinds import direct_of_kinds
@@ -95,7 +94,7 @@ class VehicleGroups:
     def reset(self) -> None:
         """Forgets all vehicles, as at the start of a sequence; ids begin again."""
         self._next_id = 0
-        self._plausible_s = -math.inf
+        self._company = Company()
         self.forget()
 
     def forget(self) -> None:
@@ -127,11 +126,10 @@ class VehicleGroups:
             num_hits=states.num_hits,
             confidences=states.confidences,
             was_plausible=states.is_plausible,
-            since_plausible_s=now_s - self._plausible_s,
+            since_others_s=self._company.since_others_s(states.ids, now_s),
         )
         states.memory, states.is_plausible = self._rule.update(states.memory, observed)
-        if states.is_plausible.any():
-            self._plausible_s = now_s
+        self._company.note(states.ids[states.is_plausible], now_s)
         is_light = tracks.confidences > MIN_OWN_CONFIDENCE
         is_confirmed = states.is_plausible[vehicles]
         is_lamp = is_confirmed & (direct_of_kinds(tracks.light_kinds) > 0.5)
