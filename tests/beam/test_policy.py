@@ -271,6 +271,16 @@ def test_tentative_lamps_count_while_a_gap_is_open() -> None:
     assert holding(gaps_after(policy(), (LAMP,), (coming,)), coming.azimuth_rad)  # held is open
 
 
+def test_tentative_lamps_that_are_rear_lamps_or_not_seen_now_do_not() -> None:
+    coming = Seen(0.12, state=TENTATIVE, number=5)
+    tracks = tracks_at(0, LAMP, coming)
+    rear = dataclasses.replace(tracks, light_kinds=np.roll(tracks.light_kinds, 1, axis=1))
+    missed = dataclasses.replace(tracks, num_misses=np.array([0, 1]), detections=np.array([0, -1]))
+    for others in (rear, missed):
+        assert not holding(policy().gaps(frame(0), others), coming.azimuth_rad)
+        assert holding(policy().gaps(frame(0), others), LAMP.azimuth_rad)
+
+
 def test_a_gap_is_held_and_then_light_returns() -> None:
     made, modes, levels = policy(), [], []
     num_frames = math.ceil((2 * CONFIG.hold_s + CONFIG.restore_s) / S) + 4

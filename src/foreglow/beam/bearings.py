@@ -45,6 +45,8 @@ class Bearing:
         range_m: Range; NaN where unknown.
         sigma_m: Its standard deviation; infinite where it is unknown.
         direct: Probability that it is a lamp in sight, front or rear; NaN where unknown.
+        front: Probability that it is a front lamp in sight; NaN where unknown.
+        is_seen: Whether it was detected in this frame.
         is_lamp: Whether it is taken for one (`lamps_in_sight`).
         vehicle: The id of its vehicle; `NO_VEHICLE` without vehicles.
         confidence: The greatest confidence that the track ever had; that of its vehicle while it leads it, if greater.
@@ -59,6 +61,8 @@ class Bearing:
     range_m: float
     sigma_m: float
     direct: float
+    front: float
+    is_seen: bool
     is_lamp: bool
     vehicle: int
     confidence: float
@@ -97,6 +101,8 @@ class Bearings:
             tracks.ranges_m.tolist(),
             tracks.sigmas_m.tolist(),
             tracks.direct_probabilities.tolist(),
+            tracks.light_kinds[:, 0].tolist(),
+            (tracks.num_misses == 0).tolist(),
             lamps_in_sight(tracks, self._min_direct).tolist(),
             vehicles.tolist(),
             _confidences(tracks).tolist(),
@@ -106,8 +112,8 @@ class Bearings:
         )
         leaving_px, width_px = LEAVING_S * frame.camera.focal_px[0], frame.width_px
         x, y, _ = frame.camera.vehicle_from_camera.position_m.tolist()
-        for track_id, azimuth, elevation, half, range_m, sigma_m, direct, is_lamp, vehicle, confidence, *others in rows:
-            is_plausible, (x1, x2) = others
+        for track_id, azimuth, elevation, half, range_m, sigma_m, direct, front, is_seen, *others in rows:
+            is_lamp, vehicle, confidence, is_plausible, (x1, x2) = others
             before, rate = known.get(track_id), 0.0
             azimuth, range_m = _from_origin(x, y, azimuth, range_m)
             if before is not None:
@@ -124,6 +130,8 @@ class Bearings:
                 range_m=range_m,
                 sigma_m=sigma_m,
                 direct=direct,
+                front=front,
+                is_seen=is_seen,
                 is_lamp=is_lamp,
                 vehicle=vehicle,
                 confidence=confidence,

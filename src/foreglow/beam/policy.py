@@ -42,9 +42,9 @@ was a lamp before: that passes us."""
 UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
 
-MIN_COMING_DIRECT, MIN_COMING_CONFIDENCE, MIN_COMING_M = 0.8, 0.2, 30.0
-"""A lamp that comes into sight gets a gap before its track is confirmed if it is this likely to be a lamp, this
-likely to be light at all, and this far away: nearer lamps would have been seen earlier."""
+MIN_COMING_FRONT, MIN_COMING_CONFIDENCE, MIN_COMING_M = 0.8, 0.2, 30.0
+"""A lamp that comes into sight gets a gap before its track is confirmed if it is this likely to be a front lamp, this
+likely to be light at all, and this far away: nearer lamps would have been seen earlier. Rear lamps come slowly."""
 
 EXPLAINED_S = 3.0
 """Light beside a lamp that then passed us is that vehicle's, or was lit by it or by us, for so long after it has gone:
@@ -131,8 +131,8 @@ class ForeglowPolicy(BeamPolicy):
     * While a lamp is in sight, any other light is attributed to it, and gets no gap.
     * A lamp that leaves the image at its side has passed: its gap is not held, and the light that was attributed to it
       is not taken for another vehicle's for `EXPLAINED_S`.
-    * While a gap is open, lamps get gaps before their tracks are confirmed. A vehicle that comes into sight needs a
-      few frames to be confirmed, and its gap must not close in the meantime.
+    * While a gap is open, front lamps get gaps before their tracks are confirmed, in frames in which they are detected.
+      A vehicle that comes into sight needs a few frames to be confirmed, and its gap must not close in the meantime.
     * With `ask`, light without a lamp in sight is asked whose it is before it opens a gap (`questions`).
 
     Attributes:
@@ -327,8 +327,9 @@ def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
 
 
 def _is_coming(bearing: Bearing) -> bool:
-    is_sure = bearing.direct >= MIN_COMING_DIRECT and bearing.confidence >= MIN_COMING_CONFIDENCE
-    return is_sure and bearing.range_m >= MIN_COMING_M
+    """Whether it may be a lamp of a vehicle that comes into sight: what was not detected in this frame does not."""
+    is_sure = bearing.front >= MIN_COMING_FRONT and bearing.confidence >= MIN_COMING_CONFIDENCE
+    return bearing.is_seen and is_sure and bearing.range_m >= MIN_COMING_M
 
 
 def _around(bearing: Bearing, half_rad: float) -> Gap:
