@@ -231,12 +231,12 @@ def number(value: object, origin: str) -> int | None:
 
 
 def truth(value: object, origin: str) -> bool:
-    """The truth value in an attribute; False for nothing.
+    """The truth value in an attribute; False where there is none. An empty text is a value, which nobody can know.
 
     Raises:
         ValueError: If it is none; the message begins with `origin`.
     """
-    values = {None: False, "": False, False: False, True: True, "false": False, "true": True}
+    values = {None: False, False: False, True: True, "false": False, "true": True}
     key = value.strip().lower() if isinstance(value, str) else value
     if not isinstance(key, bool | str | None) or key not in values:
         raise ValueError(f"{origin}: expected true or false, got {shortened(value)}")
