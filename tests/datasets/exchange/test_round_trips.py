@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -102,13 +103,17 @@ def test_names_of_all_kinds_come_back(form: str, name: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("form", ["cvat", "coco", "label-studio"])
 @pytest.mark.parametrize(
-    "name", ["a\tb.png", "a\nb.png", "a\x01.png", "a\\b.png", "C:a.png", os.fsdecode(b"a\xff.png")]
+    "name",
+    ["a\tb.png", "a\nb.png", "a\x01.png", "a\x1bb.png", "a\\b.png", "C:a.png", "a" * 201, os.fsdecode(b"a\xff.png")],
 )
 def test_names_that_could_not_be_read_again_are_not_written(form: str, name: str, tmp_path: Path) -> None:
     path, images = tmp_path / f"labels{LABEL_FORMATS[form].suffix}", (ImageLabels(name, (96, 72)),)
-    with pytest.raises(ValueError, match="name of an image: expected a path below") as caught:
-        write_labels_file(path, LabelSet(images), form)
-    assert str(caught.value).isprintable()
+    for origin in ("", "drive/night"):
+        expected = f"{origin or path}: name of an image: expected a path below the folder of the images, of "
+        expected += "printable UTF-8 without backslashes, at most 500 characters and 200 in each part, got "
+        with pytest.raises(ValueError, match=re.escape(expected)) as caught:
+            write_labels_file(path, LabelSet(images, origin=origin), form)
+        assert str(caught.value).isprintable()
     assert not path.exists()
 
 

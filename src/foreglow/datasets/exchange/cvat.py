@@ -27,7 +27,6 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
     truth,
     unknown_attributes,
-    writable_name,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.files import number_in
@@ -227,7 +226,7 @@ def cvat_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     root = _root(len(labels.images), "annotation", None)
     for index, image in enumerate(labels.images):
         width_px, height_px = image.size_px or (1, 1)
-        about = {"id": str(index), "name": writable_name(image), "width": str(width_px), "height": str(height_px)}
+        about = {"id": str(index), "name": image.name, "width": str(width_px), "height": str(height_px)}
         element = SubElement(root, "image", about)
         for category in image.categories:
             SubElement(element, "tag", {"label": category.name.lower(), "source": "manual"})

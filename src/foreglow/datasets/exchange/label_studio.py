@@ -27,7 +27,6 @@ from foreglow.datasets.exchange.marks import (
     number,
     pixel,
     plain_path,
-    writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.wording import shortened
@@ -209,7 +208,7 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
             choices = [category.name.lower() for category in image.categories]
             result.append(_part("categories", "choices", "category", {"choices": choices}))
         key = "predictions" if is_guess else "annotations"
-        data = {"image": f"/data/local-files/?d={quote(writable_name(image))}"}
+        data = {"image": f"/data/local-files/?d={quote(image.name)}"}
         tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
     return json.dumps(tasks, indent=1) + "\n", Counter()
 

@@ -13,7 +13,15 @@ from typing import Any
 from pydantic import RootModel
 
 from foreglow.datasets.exchange.files import LABEL_FORMATS
-from foreglow.datasets.exchange.marks import EARLIER_IMAGE, MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
+from foreglow.datasets.exchange.marks import (
+    EARLIER_IMAGE,
+    MAX_IMAGES,
+    ImageLabels,
+    LabelSet,
+    Mark,
+    marks_of,
+    plain_path,
+)
 from foreglow.datasets.exchange.source import LabelFile
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.labelled import LabelledSource
@@ -21,6 +29,7 @@ from foreglow.datasets.pvdn import schema
 from foreglow.datasets.pvdn.schema import ImageCategory, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, check_new_split
 from foreglow.datasets.source import FrameSource
+from foreglow.datasets.vehicle_data import origin_of
 from foreglow.datasets.video import Video
 from foreglow.folder_lock import FolderLock
 from foreglow.types import Frame
@@ -97,7 +106,7 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
     )
     if isinstance(dataset, LabelFile):
         lost.update(dataset.labels.lost)
-    return LabelSet(tuple(images), +lost)
+    return LabelSet(tuple(images), +lost, origin=str(dataset.origin))
 
 
 def _wanted(dataset: LabelledSource, chosen: Collection[int] | None) -> tuple[int, ...]:
@@ -148,7 +157,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
-    return LabelSet(tuple(images), is_video=isinstance(frames, Video))
+    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=str(origin_of(frames) or frames.name))
 
 
 def _name_of(frame: Frame, frames: FrameSource) -> str:
@@ -178,6 +187,9 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     """
     check_target(path, name)
     form = LABEL_FORMATS[name]
+    if form.has_names:
+        for image in labels.images:
+            plain_path(image.name, f"{labels.origin or path}: name of an image")
     text, lost = (form.guess_text if is_guess else form.text)(labels)
     write_atomic(path, text.encode())
     return Counter(labels.lost) + lost
