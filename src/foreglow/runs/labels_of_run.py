@@ -49,7 +49,8 @@ class LabelsOfRun:
         if self.ids is None:
             return by_frame
         unknown = {frame: -number for number, frame in enumerate(by_frame.keys() - self.ids.keys(), start=1)}
-        return {self.ids.get(frame, unknown.get(frame, 0)): value for frame, value in by_frame.items()}
+        images = {**self.ids, **unknown}
+        return {images[frame]: value for frame, value in by_frame.items()}
 
     def of_images(self, predictions: Predictions) -> Predictions:
         """The run's predictions by image."""
