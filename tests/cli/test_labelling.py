@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import open_labelled, open_source, shipped_drive
-from foreglow.runs.recorded_run import doubt_about_labels, read_run
+from foreglow.runs.labels_of_run import labels_of_run
+from foreglow.runs.recorded_run import read_run
 from tests.cli.commands import complaint, foreglow_command, names, without_digest
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.datasets.video.test_video_file import make_video
@@ -322,15 +323,15 @@ def test_labels_that_know_no_origin(tmp_path: Path) -> None:
         result = foreglow_command("run", tmp_path / name, "--out", tmp_path / f"run_{name}")
         assert result.exit_code == 0, result.output
     dataset = open_labelled(split)
-    assert doubt_about_labels(tmp_path / "run_copy", split, dataset) is None
-    assert doubt_about_labels(tmp_path / "run_copy", sequence, open_labelled(sequence)) is None
-    doubt = doubt_about_labels(tmp_path / "run_other", split, dataset)
+    assert labels_of_run(tmp_path / "run_copy", split, dataset).doubt is None
+    assert labels_of_run(tmp_path / "run_copy", sequence, open_labelled(sequence)).lines == ()
+    doubt = labels_of_run(tmp_path / "run_other", split, dataset).doubt
     assert doubt == (
         f"{split}: nothing tells whether these are labels of what {tmp_path / 'run_other'} was made from, "
         f"{tmp_path / 'other'}"
     )
     with pytest.raises(ValueError, match=r"expected the labels of what .*run_large was made from"):
-        doubt_about_labels(tmp_path / "run_large", split, dataset)
+        labels_of_run(tmp_path / "run_large", split, dataset)
     export = ("export-mot", tmp_path / "run_other", split, "--out", tmp_path / "mot")
     assert complaint(*export) == f"foreglow: {doubt}; expected a run on {split}\n"
     assert not (tmp_path / "mot").exists()
@@ -364,7 +365,7 @@ def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
     for name in ("cvat", "coco", "label-studio"):
         out = tmp_path / f"guess.{'xml' if name == 'cvat' else 'json'}"
         said = complaint("labels", "export", images, "--run", run, "--format", name, "--out", out)
-        assert "name of an image: expected a path" in said
+        assert "night?: name of an image: expected a path" in said
         assert "0\\udcff.jpg" in said
         assert not out.exists()
     video = tmp_path / "video.xml"  # names no images

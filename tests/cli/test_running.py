@@ -39,6 +39,25 @@ def test_run_on_a_folder(tmp_path: Path, folder: Path, config: Path) -> None:
     assert summary["is_complete"] is True
 
 
+@pytest.mark.parametrize("command", ["run", "record"])
+def test_images_in_folders_below_are_told(command: str, tmp_path: Path, folder: Path, config: Path) -> None:
+    """One image on top was taken for all that there is."""
+    options = ("--out", tmp_path / ("out" if command == "run" else "out.mcap"), "--preset", "paper", "--config", config)
+    (folder / "notes").mkdir()
+    (folder / "notes" / "a.txt").write_text("no image")
+    shutil.copytree(folder, folder / ".hidden")
+    assert "not read" not in foreglow_command(command, folder, *options).stdout
+    for name in ("B", "A", "deep/inside"):
+        (folder / name).mkdir(parents=True)
+        shutil.copy(folder / "000000.png", folder / name)
+    said = foreglow_command(command, folder, *options)
+    assert said.exit_code == 0, said.output
+    line = f"{folder}: images in folders below it are not read: 'A', 'B', 'deep'; run each by itself"
+    assert line in said.stdout.splitlines()
+    assert "3 frames" in said.stdout
+    assert "not read" not in foreglow_command(command, folder / "A", *options).stdout
+
+
 def test_our_model_runs_where_nothing_else_is_asked_for(tmp_path: Path, folder: Path) -> None:
     result = foreglow_command("run", folder, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output

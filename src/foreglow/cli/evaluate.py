@@ -115,23 +115,24 @@ def _configuration(options: PipelineOptions, predictions: Path | None, threshold
 def _examined_file(split: Path, predictions: Path, threshold: float) -> Examination:
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
-    from foreglow.lab.evaluation.boxes.box_quality import check_images
+    from foreglow.lab.evaluation.boxes.box_quality import compared_labels
     from foreglow.lab.evaluation.boxes.breakdown import num_beyond
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
     from foreglow.runs.frames_file import has_tracks, read_tracks
 
-    dataset = open_labelled(split)
-    found, labels = read_predictions(predictions), read_split_labels(dataset, with_shares=True)
-    doubt = check_images(predictions, found, split, dataset)
-    if doubt is not None:
-        typer.echo(doubt)
+    compared, found = compared_labels(predictions, read_predictions(predictions), split, open_labelled(split))
+    dataset = compared.dataset
+    labels = read_split_labels(dataset, with_shares=True)
+    for line in compared.lines:
+        typer.echo(line)
     examination = examine(labels, found, threshold, str(predictions))
     examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found))
     if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(found.scores)):
         examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):
         return examination
-    of_tracks = directness(labels, found, threshold, read_tracks(predictions), read_cameras(dataset))
+    tracks = compared.by_image(read_tracks(predictions))
+    of_tracks = directness(labels, found, threshold, tracks, read_cameras(dataset))
     return dataclasses.replace(examination, directness=of_tracks)
 
 

@@ -26,19 +26,18 @@ def export_mot(
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import mot, read_predictions
     from foreglow.runs.frames_file import read_tracks
-    from foreglow.runs.recorded_run import doubt_about_labels
+    from foreglow.runs.labels_of_run import labels_of_run
 
     if score:
         importlib.import_module("trackeval")  # fails before anything is written
     results = run / "frames.jsonl"
-    dataset = open_labelled(split)
-    doubt = doubt_about_labels(run, split, dataset)
-    if doubt is not None:
-        raise ValueError(f"{doubt}; expected a run on {split}")
-    proposals, tracks = read_predictions(results), read_tracks(results)
-    mot.export_mot(dataset, proposals, tracks, out, name, origin=str(results))
+    labels = labels_of_run(run, split, open_labelled(split))
+    if labels.doubt is not None:
+        raise ValueError(f"{labels.doubt}; expected a run on {split}")
+    proposals, tracks = labels.of_images(read_predictions(results)), labels.by_image(read_tracks(results))
+    mot.export_mot(labels.dataset, proposals, tracks, out, name, origin=str(results))
     if score:
         scores = mot.score_mot(out, name)
         typer.echo(f"HOTA {scores.hota:.3f} (DetA {scores.det_a:.3f}, AssA {scores.ass_a:.3f}), IDF1 {scores.idf1:.3f}")
         typer.echo(f"MOTA {scores.mota:.3f}, {scores.num_switches} switches, {scores.num_fragments} interruptions")
-    typer.echo(f"look in {out}")
+    typer.echo("\n".join([*labels.lines, f"look in {out}"]))

@@ -74,14 +74,20 @@ def import_(
 ) -> None:
     """Make a data set of labels and their images, which every command takes."""
     from foreglow.datasets import exchange
-    from foreglow.runs.origin import digests_of
+    from foreglow.runs.labels_of_run import origins_of
 
     dataset = exchange.LabelFile(source, images)
-    exchange.write_split(dataset, out, digests_of(dataset))
+    origins = origins_of(dataset)
+    exchange.write_split(dataset, out, origins)
     lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
         lines.append(_empty_line(num_empty))
+    if any(frame != image_id for origin in origins for frame, image_id in origin.ids or ()):
+        lines.append(
+            "the images are renumbered, as they have other numbers in a run on their folder; evaluate and export-mot "
+            "know which is which"
+        )
     typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
 
 

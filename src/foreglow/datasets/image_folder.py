@@ -33,6 +33,9 @@ OTHER_IMAGES = frozenset(
 )
 """Endings of images that are not read here; they are named, not passed over in silence."""
 
+MAX_NAMED = 5
+"""Folders that a message names."""
+
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-3, 1e6
 """Frames a second: a picture in a quarter of an hour, and times that differ by whole nanoseconds."""
 
@@ -160,6 +163,15 @@ class ImageFolder(FileSource):
                 raise ValueError(self._others[0])
 
     @property
+    def note(self) -> str:
+        """What is not read, as a line for people: images in folders below; empty if there are none."""
+        if not self.path.is_dir():
+            return ""
+        names = [folder.name for folder in sorted(self.path.iterdir()) if folder.is_dir() and _has_images(folder)]
+        listed = ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])
+        return f"{self.path}: images in folders below it are not read: {listed}; run each by itself" if names else ""
+
+    @property
     def name(self) -> str:
         """Name of the folder or file."""
         return self.path.name
@@ -219,6 +231,14 @@ def _exif_time(path: Path) -> datetime | None:
 def is_images(path: Path) -> bool:
     """Whether `path` is a folder, or a file that is an image by its ending."""
     return path.is_dir() or path.suffix.lower() in (IMAGE_SUFFIXES | OTHER_IMAGES) - {_ANY_DATA}
+
+
+def _has_images(folder: Path) -> bool:
+    """Whether images lie in a folder, or in one of its own folders."""
+    with contextlib.suppress(OSError):  # what may not be read is not read either
+        files = itertools.chain(folder.glob("*"), folder.glob("*/*"))
+        return not folder.name.startswith(".") and any(path.suffix.lower() in IMAGE_SUFFIXES for path in files)
+    return False
 
 
 def _images_in(folder: Path) -> tuple[list[Path], list[str]]:

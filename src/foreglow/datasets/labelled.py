@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -118,8 +118,12 @@ class LabelledSource(FileSource, ABC):
 
     def only(self, directory: str) -> Self:
         """The selected images of one sequence, by its folder; the labels are shared."""
+        return self.with_images({id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory})
+
+    def with_images(self, image_ids: Collection[int]) -> Self:
+        """The selected images that are among these; the labels are shared."""
         part = copy.copy(self)
-        part.frame_ids = tuple(id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory)
+        part.frame_ids = tuple(id_ for id_ in self.frame_ids if id_ in image_ids)
         part.skipped = []
         return part
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-from foreglow.datasets import PVDN, FrameSource, LabelledSource, origin_of
-from foreglow.datasets.exchange import LabelFile, is_labels
-from foreglow.datasets.exchange.transfer import ORIGIN
+from foreglow.datasets import FrameSource, origin_of
+from foreglow.datasets.exchange import is_labels
 from foreglow.datasets.images import IMAGE_SUFFIXES
 from foreglow.datasets.pvdn.splits import find_split, is_pvdn
 from foreglow.files import MIB
@@ -53,25 +52,6 @@ def origin_digest(path: Path) -> str | None:
     return digest.hexdigest() if images else None
 
 
-def digests_of(dataset: LabelledSource) -> set[str]:
-    """The digests of what a run on the images of a data set may have been made from.
-
-    Of a split, these are also those of its sequences, and the reverse; of a file of labels, the video or the folders.
-    """
-    paths: Collection[Path] = ()
-    if isinstance(dataset, LabelFile):
-        paths = dataset.places
-    elif isinstance(dataset, PVDN):
-        paths = (dataset.root, *(dataset.root / "images").glob("*/"))
-    return {digest for path in paths if (digest := origin_digest(path)) is not None}
-
-
-def stated_origins(dataset: LabelledSource) -> set[str]:
-    """As `digests_of`, of what the labels of a split were imported for; none if they do not say so."""
-    found = dataset.labels.images_file.info.get(ORIGIN) if isinstance(dataset, PVDN) else None
-    return {each for each in found if isinstance(each, str)} if isinstance(found, list) else set()
-
-
 def _images_in(path: Path) -> Iterator[tuple[bytes, int]]:
     """Name and size of each image in a folder of images, or in the sequences of a split."""
     if is_pvdn(path):
@@ -79,10 +59,10 @@ def _images_in(path: Path) -> Iterator[tuple[bytes, int]]:
         images = split / "images"
         folders = [each for each in images.iterdir() if each.is_dir()] if sequence is None else [images / sequence]
     else:
-        folders = [path]
+        folders, sequence = [path], path.name
     for folder in folders:
         with os.scandir(folder) as entries:
             for entry in entries:
                 if Path(entry.name).suffix.lower() in IMAGE_SUFFIXES and entry.is_file():
-                    name = entry.name if folder == path else f"{folder.name}/{entry.name}"
+                    name = entry.name if sequence is not None else f"{folder.name}/{entry.name}"
                     yield os.fsencode(name), entry.stat().st_size

@@ -17,12 +17,11 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
-from foreglow.datasets.pvdn import is_pvdn
 from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.own_files import COCO_RESULTS, TABLE, FileKind
 from foreglow.runs.frame_line import FrameLine
 from foreglow.runs.frames_file import line_to_result, read_frame_lines
-from foreglow.runs.origin import digests_of, origin_digest, stated_origins
+from foreglow.runs.origin import origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
 from foreglow.types import BeamMode, Frame, FrameResult, TrackState
@@ -291,43 +290,6 @@ def check_suggestions_of(run: Path, suggestions: Path) -> None:
     ours, other = (read_summary(folder / "summary.json") for folder in (run, home))
     if other.source_digest is None or other.source_digest != ours.source_digest:
         raise ValueError(f"{suggestions}: expected frames of {run}, got those of another run, on {other.source}")
-
-
-def doubt_about_labels(run: Path, labelled: Path, dataset: LabelledSource) -> str | None:
-    """A line if nothing tells whether labels are for what the run in `run` was made from, a part of it, or more.
-
-    Labels know their images by digest: those of a split or beside a file of labels, and what they were imported for.
-    Nothing is said of runs that know no digest of their source, and of live ones.
-
-    Args:
-        run: The folder of the run, or another one.
-        labelled: Where the labels are.
-        dataset: They, opened.
-
-    Raises:
-        ValueError: If they are for other images, or the run's summary is broken.
-    """
-    path = run / "summary.json"
-    summary = read_summary(path) if path.is_file() else None
-    if summary is None or summary.source_digest is None:
-        return None
-    images, stated = digests_of(dataset), stated_origins(dataset)
-    if summary.source_digest in images | stated:
-        return None
-    source = Path(summary.source)
-    is_known = bool(stated or (images and (is_pvdn(source) or (labelled.is_file() and source.is_dir()))))
-    is_live, sizes_px = summary.live is not None, set(summary.frame_sizes_px)
-    if is_known or (not is_live and sizes_px and sizes_px.isdisjoint(_sizes_px(dataset))):
-        raise ValueError(f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others")
-    if is_live or is_pvdn(source):  # without images, a split cannot be told from another one
-        return None
-    return f"{labelled}: nothing tells whether these are labels of what {run} was made from, {summary.source}"
-
-
-def _sizes_px(dataset: LabelledSource) -> Iterator[tuple[int, int]]:
-    for image_id in dataset.frame_ids:
-        record = dataset.image(image_id)
-        yield record.width_px, record.height_px
 
 
 def source_of_run(run: Path) -> Path:

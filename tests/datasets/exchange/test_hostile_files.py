@@ -20,9 +20,9 @@ def image(name: str = "a.png", inside: str = "", size: str = 'width="96" height=
     return f'<annotations><image id="0" name="{name}" {size}>{inside}</image></annotations>'
 
 
-def video(meta: str = "<size>3</size>", frame: str = "1") -> str:
+def video(meta: str = "<size>3</size>", frame: str = "1", inside: str = "") -> str:
     return (
-        f"<annotations><meta><task>{meta}</task></meta><track id='1' label='light'>"
+        f"<annotations><meta><task>{meta}</task></meta><track id='1' label='light'>{inside}"
         f"<points frame='{frame}' points='1,2'/></track></annotations>"
     )
 
@@ -43,9 +43,20 @@ def coco(**changes: Any) -> str:
     return json.dumps(file | changes)
 
 
-def sized(width_px: int) -> dict[str, Any]:
-    value = {"x": 1, "y": 2, "keypointlabels": ["light"]}
-    return {"type": "keypointlabels", "original_width": width_px, "original_height": 72, "value": value}
+def sized(width_px: int, x: int = 1, **region: Any) -> dict[str, Any]:
+    value = {"x": x, "y": 2, "keypointlabels": ["light"]}
+    return {"type": "keypointlabels", "original_width": width_px, "original_height": 72, "value": value, **region}
+
+
+def said_twice(*numbers: int) -> str:
+    """A point that Label Studio gives several numbers of a vehicle."""
+    said = [{"id": "r", "type": "number", "from_name": "oid", "value": {"number": number}} for number in numbers]
+    return annotated(sized(96, id="r"), *said)
+
+
+def annotated(*regions: dict[str, Any]) -> str:
+    """An image of Label Studio with these regions."""
+    return json.dumps([{"data": {"image": "a.png"}, "annotations": [{"result": regions}]}])
 
 
 def task(value: Any = None, address: Any = "a.png", **region: Any) -> str:
@@ -73,7 +84,7 @@ FILES = {
     ),
     "two sizes of an image": (
         ".json",
-        json.dumps([{"data": {"image": "a.png"}, "annotations": [{"result": [sized(96), sized(1)]}]}]),
+        annotated(sized(96), sized(1)),
         "original_width, original_height: expected (96, 72) as before, got (1, 72)",
     ),
     "a point that is none": (".xml", image(inside='<points label="light" points="1,nan"/>'), "expected a point within"),
@@ -82,6 +93,40 @@ FILES = {
     "a negative size": (".xml", image(size='width="-96" height="72"'), "width, height: expected 1 to"),
     "a number of a million digits": (".xml", light("oid", "9" * 10**6), "oid: expected a whole number"),
     "no truth value": (".xml", light("rear", "maybe"), "rear: expected true or false, got 'maybe'"),
+    "no truth value, but an empty text": (".xml", light("direct", ""), "direct: expected true or false, got ''"),
+    "an empty text for a truth value": (
+        ".json",
+        coco(annotation={"attributes": {"rear": ""}}),
+        "annotations.0.attributes.rear: expected true or false, got ''",
+    ),
+    "an attribute twice": (
+        ".xml",
+        light("oid", "3").replace("</points>", '<attribute name="oid">4</attribute></points>'),
+        "image 0: <points> 'oid': expected one value, got '3' and '4'",
+    ),
+    "an attribute of a track twice": (
+        ".xml",
+        video(inside="<attribute name='rear'>true</attribute><attribute name='rear'>false</attribute>"),
+        "track 0: <track> 'rear': expected one value, got 'true' and 'false'",
+    ),
+    "an attribute of a track and another of its shape": (
+        ".xml",
+        video().replace("<points", "<attribute name='oid'>1</attribute><points").replace(
+            "points='1,2'/>", "points='1,2'><attribute name='oid'>2</attribute></points>"
+        ),
+        "track 0: frame 1: <points> 'oid': expected one value, got '1' and '2'",
+    ),
+    "an attribute of COCO twice": (
+        ".json",
+        coco(annotation={"attributes": {"oid": 1}}).replace('{"oid": 1}', '{"oid": 1, "oid": 2}'),
+        "oid",
+    ),
+    "an attribute of Label Studio twice": (".json", said_twice(1, 2), "0: region 'r': oid: expected one value, got "),
+    "a region twice": (
+        ".json",
+        annotated(sized(96, id="r"), sized(96, 7, id="r")),
+        "0: region 'r': expected one point or box, got several",
+    ),
     "a video of a billion frames": (".xml", video("<size>1000000000</size>"), "expected 1 to 200000 frames"),
     "a video that ends before it begins": (".xml", video("<start_frame>9</start_frame><size>0</size>"), "frames"),
     "a frame behind the end": (".xml", video(frame="7"), "track 0: frame: expected 0 to 2, got 7"),
@@ -114,7 +159,7 @@ FILES = {
     "two points of a track": (
         ".xml",
         video().replace("1,2", "1,2;5,6"),
-        "track 0: <points> points: expected one point of light 1, got 2",
+        "track 0: frame 1: <points> points: expected one point of light 1, got 2",
     ),
     "outside of a text": (
         ".xml",

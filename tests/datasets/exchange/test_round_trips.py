@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -25,7 +26,7 @@ from foreglow.datasets.exchange import (
     write_labels_file,
     write_split,
 )
-from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, marks_of, vehicles_of
+from foreglow.datasets.exchange.marks import CATEGORIES, ImageLabels, Kind, LabelSet, marks_of, vehicles_of
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import is_pvdn
 from foreglow.datasets.pvdn.schema import ImageCategory
@@ -102,13 +103,17 @@ def test_names_of_all_kinds_come_back(form: str, name: str, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("form", ["cvat", "coco", "label-studio"])
 @pytest.mark.parametrize(
-    "name", ["a\tb.png", "a\nb.png", "a\x01.png", "a\\b.png", "C:a.png", os.fsdecode(b"a\xff.png")]
+    "name",
+    ["a\tb.png", "a\nb.png", "a\x01.png", "a\x1bb.png", "a\\b.png", "C:a.png", "a" * 201, os.fsdecode(b"a\xff.png")],
 )
 def test_names_that_could_not_be_read_again_are_not_written(form: str, name: str, tmp_path: Path) -> None:
     path, images = tmp_path / f"labels{LABEL_FORMATS[form].suffix}", (ImageLabels(name, (96, 72)),)
-    with pytest.raises(ValueError, match="name of an image: expected a path below") as caught:
-        write_labels_file(path, LabelSet(images), form)
-    assert str(caught.value).isprintable()
+    for origin in ("", "drive/night"):
+        expected = f"{origin or path}: name of an image: expected a path below the folder of the images, of "
+        expected += "printable UTF-8 without backslashes, at most 500 characters and 200 in each part, got "
+        with pytest.raises(ValueError, match=re.escape(expected)) as caught:
+            write_labels_file(path, LabelSet(images, origin=origin), form)
+        assert str(caught.value).isprintable()
     assert not path.exists()
 
 
@@ -251,6 +256,44 @@ def test_attributes_of_other_names_in_coco_are_counted(tmp_path: Path) -> None:
     }
 
 
+def test_what_is_said_twice_alike_is_said_once(tmp_path: Path) -> None:
+    size = {"original_width": 96, "original_height": 72}
+    point = size | {"id": "a", "type": "keypointlabels", "value": {"x": 1, "y": 2, "keypointlabels": ["light"]}}
+    oid = {"id": "a", "type": "number", "from_name": "oid", "value": {"number": 3}}
+    task = {"data": {"image": "a.png"}, "annotations": [{"result": [point, oid, point, oid]}]}
+    (tmp_path / "labels.json").write_text(json.dumps([task]))
+    attribute = '<attribute name="oid">3</attribute>'
+    (tmp_path / "labels.xml").write_text(
+        f"""<annotations><image id="0" name="a.png" width="96" height="72">
+        <points label="light" points="1,2">{attribute}{attribute}</points></image></annotations>"""
+    )
+    for name in ("labels.json", "labels.xml"):
+        (image,) = read_labels_file(tmp_path / name).images
+        assert [mark.oid for mark in image.marks] == [3]
+
+
+def test_elements_that_mean_nothing_here_are_counted(tmp_path: Path) -> None:
+    """A child of a shape, of a tag, of a track or of the file may hold what somebody took for a label."""
+    image, point = '<image id="0" name="a.png"><points label="light" points="1,2">{}</points>{}</image>', "<points/>"
+    path = tmp_path / "labels.xml"
+    category = next(iter(CATEGORIES))
+    tag = f'<tag label="{category}"><attribute name="a">1</attribute></tag>'
+    more = f"<folder>{image}</folder><Image/><track id='1'/>"
+    path.write_text(f"<annotations><version/><meta/>{image.format(point + '<Attribute/>', tag)}{more}</annotations>")
+    assert read_labels_file(path).lost == {
+        "element 'points' of a shape": 1,
+        "element 'Attribute' of a shape": 1,
+        "element 'attribute' of a tag": 1,
+        "element 'folder'": 1,
+        "element 'Image'": 1,
+        "element 'track'": 1,
+    }
+    inside = "<attribute name='oid'>1</attribute><Points/><points frame='0' points='1,2'/>"
+    track = f"<track id='1' label='light'>{inside}</track>"
+    path.write_text(f"<annotations><version/><Meta/>{track}</annotations>")
+    assert read_labels_file(path).lost == {"element 'Meta'": 1, "element 'Points' of a track": 1}
+
+
 def test_choices_and_numbers_without_a_point_are_counted(tmp_path: Path) -> None:
     size = {"original_width": 96, "original_height": 72}
     result = [
@@ -366,8 +409,6 @@ def test_an_empty_set_cannot_be_read_again(tmp_path: Path) -> None:
 
 
 def test_the_categories_of_the_tools_are_ours() -> None:
-    from foreglow.datasets.exchange.marks import CATEGORIES
-
     assert set(CATEGORIES.values()) == set(ImageCategory) - {ImageCategory.NONE}
 
 

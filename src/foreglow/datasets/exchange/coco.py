@@ -25,7 +25,6 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
     truth,
     unknown_attributes,
-    writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.own_files import LABELS_INFO
@@ -177,7 +176,7 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     annotations: list[dict[str, Any]] = []
     for image_id, image in enumerate(labels.images, start=1):
         width_px, height_px = image.size_px or (1, 1)
-        images.append({"id": image_id, "file_name": writable_name(image), "width": width_px, "height": height_px})
+        images.append({"id": image_id, "file_name": image.name, "width": width_px, "height": height_px})
         lost["category of an image"] += len(image.categories)
         for mark in image.marks:
             x, y = mark.position_px

@@ -27,7 +27,6 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
     truth,
     unknown_attributes,
-    writable_name,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.files import number_in
@@ -38,6 +37,9 @@ MAX_SIZE_PX = 2**20
 
 SHAPES = frozenset({"points", "box", "polygon", "polyline", "ellipse", "cuboid", "mask", "skeleton"})
 """What CVAT draws; points and boxes are taken."""
+
+ABOUT = frozenset({"version", "meta"})
+"""Elements beside the images or tracks that mark nothing."""
 
 
 def read_cvat(path: Path) -> LabelSet:
@@ -50,6 +52,8 @@ def read_cvat(path: Path) -> LabelSet:
     root = read_xml(path, "annotations")
     lost: Counter[str] = Counter()
     images = root.findall("image")
+    taken = {*ABOUT, "image" if images else "track"}
+    lost.update(f"element {shortened(each.tag)}" for each in root if each.tag not in taken)
     if not images:
         return _read_video(root, path, lost)
     found = [_read_image(element, f"{path}: image {index}", lost) for index, element in enumerate(images)]
@@ -62,6 +66,7 @@ def _read_image(element: Element, origin: str, lost: Counter[str]) -> ImageLabel
     for shape in element:
         if shape.tag == "tag" and shape.get("label") in CATEGORIES:
             categories.append(CATEGORIES[shape.get("label", "")])
+            lost.update(f"element {shortened(each.tag)} of a tag" for each in shape)
         elif shape.tag == "tag":
             lost[f"tag {shortened(shape.get('label'))}"] += 1
         else:
@@ -80,18 +85,25 @@ def _size_px(element: Element, width: str, height: str, origin: str) -> tuple[in
 
 
 def _marks(
-    shape: Element, label: str | None, common: Mapping[str, str], origin: str, lost: Counter[str]
+    shape: Element,
+    label: str | None,
+    common: Mapping[str, str],
+    origin: str,
+    lost: Counter[str],
+    track_id: str | None = None,
 ) -> Iterator[Mark]:
-    """The points of a shape that has this label."""
+    """The points of a shape that has this label; `track_id` numbers the light if no attribute does."""
     if shape.tag not in ("points", "box"):
         lost[f"shape {shortened(shape.tag)}"] += 1
     elif label not in set(Kind):
         lost[f"shape labelled {shortened(label)}"] += 1
     else:
-        given = dict(common) | _attributes(shape)
-        lost.update(unknown_attributes(given))
         where = f"{origin}: <{shape.tag}>"
+        given = _attributes(shape, where, common)
+        lost.update(unknown_attributes(given))
+        lost.update(f"element {shortened(each.tag)} of a shape" for each in shape if each.tag != "attribute")
         oid, iid = (number(given.get(name), f"{where} {name}") for name in ("oid", "iid"))
+        iid = number(track_id, f"{where} id") if iid is None else iid
         is_direct, is_rear = (truth(given.get(name), f"{where} {name}") for name in ("direct", "rear"))
         points = _points(shape, where)
         if len(points) > 1 and iid is not None and label != Kind.VEHICLE:
@@ -100,8 +112,19 @@ def _marks(
             yield Mark(Kind(label), pixel(x, y, where), oid, iid, is_direct, is_rear)
 
 
-def _attributes(element: Element) -> dict[str, str]:
-    return {each.get("name", ""): each.text for each in element.findall("attribute") if each.text}
+def _attributes(element: Element, origin: str, common: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The values of attributes by name: those of an element, and those that hold for all elements like it.
+
+    Raises:
+        ValueError: If an attribute has two values; the message begins with `origin`.
+    """
+    given = dict(common or {})
+    for each in element.findall("attribute"):
+        name, value = each.get("name", ""), each.text or ""
+        if given.setdefault(name, value) != value:
+            one = f"{origin} {shortened(name)}: expected one value"
+            raise ValueError(f"{one}, got {shortened(given[name])} and {shortened(value)}")
+    return given
 
 
 def _points(shape: Element, origin: str) -> list[tuple[float, float]]:
@@ -135,11 +158,12 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
     marks: dict[int, list[Mark]] = {frame: [] for frame in frames}
     unknown: set[int] = set()
     for index, track in enumerate(root.findall("track")):
-        origin, common = f"{path}: track {index}", _attributes(track)
-        common.setdefault("iid", track.get("id") or "")
+        origin = f"{path}: track {index}"
+        common = _attributes(track, f"{origin}: <track>")
         seen: dict[int, bool] = {}  # by frame, whether it is outside there
         for shape in track:
             if shape.tag not in SHAPES:
+                lost[f"element {shortened(shape.tag)} of a track"] += shape.tag != "attribute"
                 continue
             frame = number(shape.get("frame"), f"{origin}: frame") or 0
             if (outside := shape.get("outside", "0")) not in ("0", "1"):
@@ -150,7 +174,7 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
             if frame not in marks:
                 steps = f" in steps of {frames.step}" if frames.step > 1 else ""
                 raise ValueError(f"{origin}: frame: expected {frames[0]} to {frames[-1]}{steps}, got {frame}")
-            marks[frame] += _marks(shape, track.get("label"), common, origin, lost)
+            marks[frame] += _marks(shape, track.get("label"), common, f"{origin}: frame {frame}", lost, track.get("id"))
         for frame, after in itertools.pairwise([*sorted(seen), frames.stop]):
             if not seen[frame]:
                 unknown.update(range(frame + frames.step, min(after, frames.stop), frames.step))
@@ -202,7 +226,7 @@ def cvat_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     root = _root(len(labels.images), "annotation", None)
     for index, image in enumerate(labels.images):
         width_px, height_px = image.size_px or (1, 1)
-        about = {"id": str(index), "name": writable_name(image), "width": str(width_px), "height": str(height_px)}
+        about = {"id": str(index), "name": image.name, "width": str(width_px), "height": str(height_px)}
         element = SubElement(root, "image", about)
         for category in image.categories:
             SubElement(element, "tag", {"label": category.name.lower(), "source": "manual"})

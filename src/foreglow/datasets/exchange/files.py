@@ -27,6 +27,7 @@ class LabelFormat:
         read: The labels in the file at a path.
         text: The file that holds the labels, and what it cannot take.
         guess_text: As `text`, for labels that a person has yet to accept.
+        has_names: Whether its files have the images' names.
     """
 
     suffix: str
@@ -34,12 +35,13 @@ class LabelFormat:
     read: Callable[[Path], LabelSet]
     text: Callable[[LabelSet], tuple[str, Counter[str]]]
     guess_text: Callable[[LabelSet], tuple[str, Counter[str]]]
+    has_names: bool = True
 
 
 _XML = re.compile(rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*(<!DOCTYPE.*)?<annotations\b", re.DOTALL)
 LABEL_FORMATS: dict[str, LabelFormat] = {
     "cvat": LabelFormat(".xml", _XML, read_cvat, cvat_text, cvat_text),
-    "cvat-video": LabelFormat(".xml", _XML, read_cvat, cvat_video_text, cvat_video_text),
+    "cvat-video": LabelFormat(".xml", _XML, read_cvat, cvat_video_text, cvat_video_text, has_names=False),
     "coco": LabelFormat(".json", re.compile(rb"\s*\{"), read_coco, coco_text, coco_text),
     "label-studio": LabelFormat(
         ".json",

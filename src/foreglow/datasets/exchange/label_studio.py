@@ -27,7 +27,6 @@ from foreglow.datasets.exchange.marks import (
     number,
     pixel,
     plain_path,
-    writable_name,
 )
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.wording import shortened
@@ -111,13 +110,15 @@ def _name_of(data: dict[str, Any], origin: str) -> str:
 def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -> ImageLabels:
     said: dict[str, dict[str, Any]] = {}
     others = set[str]()  # regions of which nothing is taken
-    points: list[tuple[str, Region]] = []
+    points: dict[str, Region] = {}
     categories = []
     size_px = None
     for index, region in enumerate(annotation.result):
         key = region.id or f"#{index}"
         if region.type in ("keypointlabels", "rectanglelabels"):
-            points.append((key, region))
+            first = points.setdefault(key, region)
+            if (first.type, first.value) != (region.type, region.value):
+                raise ValueError(f"{origin}: region {shortened(key)}: expected one point or box, got several")
         elif _TYPES.get(region.from_name) != region.type:
             lost[f"region of the type {shortened(region.type)}"] += 1
             others |= {key} if region.type.endswith("labels") else set()
@@ -128,11 +129,14 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
                 else:
                     lost[f"category {shortened(choice)}"] += 1
         else:
-            said.setdefault(key, {})[region.from_name] = region.value
-    for key in said.keys() - others - {key for key, _ in points}:
+            found = said.setdefault(key, {}).setdefault(region.from_name, region.value)
+            if found != region.value:
+                field = f"{origin}: region {shortened(key)}: {region.from_name}"
+                raise ValueError(f"{field}: expected one value, got {shortened(found)} and {shortened(region.value)}")
+    for key in said.keys() - others - points.keys():
         lost.update(f"{shortened(name)} of a point that is not there" for name in said[key])
     marks = []
-    for key, region in points:
+    for key, region in points.items():
         where = f"{origin}: region {shortened(key)}"
         names = _texts(region.value.get(region.type), where)
         if len(names) != 1 or names[0] not in set(Kind):
@@ -204,7 +208,7 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
             choices = [category.name.lower() for category in image.categories]
             result.append(_part("categories", "choices", "category", {"choices": choices}))
         key = "predictions" if is_guess else "annotations"
-        data = {"image": f"/data/local-files/?d={quote(writable_name(image))}"}
+        data = {"image": f"/data/local-files/?d={quote(image.name)}"}
         tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
     return json.dumps(tasks, indent=1) + "\n", Counter()
 

@@ -20,6 +20,9 @@ MAX_IMAGES = 200_000
 MAX_COORDINATE_PX = 2**20
 """As of `schema.Pixel`: no camera has more."""
 
+MAX_PATH, MAX_PART = 500, 200
+"""Characters of an image's path, and of its name or a folder's in it."""
+
 MAX_NUMBER = 2**53
 """Numbers of vehicles and lights that every tool keeps exactly."""
 
@@ -91,11 +94,13 @@ class LabelSet:
         images: The labelled images, also those in which nothing is marked.
         lost: By what it is, how much the file has that is not here, or could not take.
         is_video: Whether the images are the frames of a video or a folder, by their order; names are then numbers.
+        origin: Where the images are, for messages; empty where nobody says it.
     """
 
     images: tuple[ImageLabels, ...]
     lost: Mapping[str, int] = field(default_factory=dict)
     is_video: bool = False
+    origin: str = ""
 
 
 def lost_lines(lost: Mapping[str, int]) -> list[str]:
@@ -231,12 +236,12 @@ def number(value: object, origin: str) -> int | None:
 
 
 def truth(value: object, origin: str) -> bool:
-    """The truth value in an attribute; False for nothing.
+    """The truth value in an attribute; False where there is none. An empty text is a value, which nobody can know.
 
     Raises:
         ValueError: If it is none; the message begins with `origin`.
     """
-    values = {None: False, "": False, False: False, True: True, "false": False, "true": True}
+    values = {None: False, False: False, True: True, "false": False, "true": True}
     key = value.strip().lower() if isinstance(value, str) else value
     if not isinstance(key, bool | str | None) or key not in values:
         raise ValueError(f"{origin}: expected true or false, got {shortened(value)}")
@@ -247,30 +252,22 @@ def plain_path(name: str, origin: str) -> str:
     """`name`, if it is a path below a folder that stays there.
 
     Raises:
-        ValueError: If it is absolute, climbs, or has characters that not every format keeps: those of control,
-            backslashes, and bytes that are no UTF-8; the message begins with `origin`.
+        ValueError: If it is absolute, climbs, is too long, or has characters that not every format keeps: those that
+            cannot be printed, such as tabs and escape characters, backslashes, and bytes that are no UTF-8; the
+            message begins with `origin`.
     """
     parts = PurePosixPath(name).parts
-    is_bad = not parts or not all(map(_is_plain, name)) or len(name) > 500 or re.match("[A-Za-z]:", name)
-    if is_bad or any(part in ("/", "//", "..") or len(part) > 200 for part in parts):
+    is_bad = not parts or not all(map(_is_plain, name)) or len(name) > MAX_PATH or re.match("[A-Za-z]:", name)
+    if is_bad or any(part in ("/", "//", "..") or len(part) > MAX_PART for part in parts):
         raise ValueError(
-            f"{origin}: expected a path below the folder of the images, in UTF-8 without tabs, new lines and "
-            f"backslashes, got {shortened(name)}"
+            f"{origin}: expected a path below the folder of the images, of printable UTF-8 without backslashes, "
+            f"at most {MAX_PATH} characters and {MAX_PART} in each part, got {shortened(name)}"
         )
     return "/".join(parts)
 
 
 def _is_plain(character: str) -> bool:
     return character != "\\" and (character.isprintable() or unicodedata.category(character) == "Zs")
-
-
-def writable_name(image: ImageLabels) -> str:
-    """The image's name, if the readers of all formats take it again.
-
-    Raises:
-        ValueError: As in `plain_path`.
-    """
-    return plain_path(image.name, "name of an image")
 
 
 def checked_images(images: Iterable[ImageLabels], path: object) -> tuple[ImageLabels, ...]:

@@ -40,6 +40,7 @@ class LabelFile(LabelledSource):
 
     Attributes:
         labels: What the file says.
+        folder: The folder of the images; that of the video.
     """
 
     def __init__(self, path: Path | str, images: Path | str | None = None, *, on_error: OnError = "stop") -> None:
@@ -58,11 +59,11 @@ class LabelFile(LabelledSource):
         self.path = Path(path)
         self.root = self.path.parent
         self.labels: LabelSet = read_labels_file(self.path)
-        self._folder, self._video = self._images_at(None if images is None else Path(images))
+        self.folder, self._video = self._images_at(None if images is None else Path(images))
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
         named = self._named()
         self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
-        self._labelled = frozenset(self._folder / image.name for image in named)
+        self._labelled = frozenset(self.folder / image.name for image in named)
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
         self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
@@ -91,7 +92,7 @@ class LabelFile(LabelledSource):
         """What a run on the same images may have been made from: the video, or its folders and their split."""
         if self._video is not None:
             return frozenset({self._video.path})
-        folders = {self._folder, *(path.parent for path in self._labelled)}
+        folders = {self.folder, *(path.parent for path in self._labelled)}
         splits = {folder.resolve().parents[1] for folder in folders if len(folder.resolve().parents) > 1}
         return frozenset({*folders, *filter(is_split, splits)})
 
@@ -166,7 +167,7 @@ class LabelFile(LabelledSource):
     def image_path(self, image_id: int) -> Path:
         """As in `LabelledSource`; the video of its frames."""
         name = self._image(image_id).name
-        return self._folder / name if self._video is None else self._video.path
+        return self.folder / name if self._video is None else self._video.path
 
     def sequence(self, image_id: int) -> Sequence:
         """As in `LabelledSource`."""
@@ -227,9 +228,18 @@ class LabelFile(LabelledSource):
         """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
 
         In folders of folders it is the number that each is called by, where all are; else its number in the file.
+
+        Raises:
+            ValueError: If they are those of a video, and one is no frame's, or there twice.
         """
-        if self._video is None and (self._folder / names[0]).is_file() and not any("/" in name for name in names):
-            frames = frame_numbers(self._folder)
+        if self._video is not None:
+            frames_of = [_frame_number(name) for name in names]
+            twice = next((number for number, count in Counter(frames_of).items() if count > 1), None)
+            if twice is not None:
+                raise ValueError(f"{self.path}: expected each frame of {self._video.path} once, {twice} is there twice")
+            return frames_of
+        if (self.folder / names[0]).is_file() and not any("/" in name for name in names):
+            frames = frame_numbers(self.folder)
             if frames.keys() >= set(names):
                 return [frames[name] for name in names]
         numbers = [number_in(name) for name in names]
@@ -241,11 +251,11 @@ class LabelFile(LabelledSource):
         images = self.labels.images
         if self._video is not None or not self.labels.is_video:
             return images
-        names = list(frame_numbers(self._folder))
+        names = list(frame_numbers(self.folder))
         numbers = [int(image.name) for image in images]
         if numbers[-1] >= len(names):
             raise ValueError(
-                f"{self._folder}: expected an image for frame {numbers[-1]} of {self.path}, found {len(names)} images"
+                f"{self.folder}: expected an image for frame {numbers[-1]} of {self.path}, found {len(names)} images"
                 " (earlier images beside others are no frames)"
             )
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))

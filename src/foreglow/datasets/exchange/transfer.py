@@ -5,19 +5,31 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import RootModel
+
 from foreglow.datasets.exchange.files import LABEL_FORMATS
-from foreglow.datasets.exchange.marks import EARLIER_IMAGE, MAX_IMAGES, ImageLabels, LabelSet, Mark, marks_of
+from foreglow.datasets.exchange.marks import (
+    EARLIER_IMAGE,
+    MAX_IMAGES,
+    ImageLabels,
+    LabelSet,
+    Mark,
+    marks_of,
+    plain_path,
+)
 from foreglow.datasets.exchange.source import LabelFile
 from foreglow.datasets.image_folder import ImageFolder
 from foreglow.datasets.labelled import LabelledSource
-from foreglow.datasets.pvdn.schema import ImageCategory, Sequence, Vehicle
+from foreglow.datasets.pvdn import schema
+from foreglow.datasets.pvdn.schema import ImageCategory, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, check_new_split
 from foreglow.datasets.source import FrameSource
+from foreglow.datasets.vehicle_data import origin_of
 from foreglow.datasets.video import Video
 from foreglow.folder_lock import FolderLock
 from foreglow.types import Frame
@@ -27,10 +39,32 @@ _HIDDEN = ".import.partial"
 """Folder for a split until all of it is written."""
 
 ORIGIN = "origin"
-"""The field of a set's `info` with the digests of the video, or of the folders, that its images are of."""
+"""The field of a set's `info` that says for which video or folders its labels are: a list of `Origin`."""
 
 _OWN = {"id", "directory", "image_ids", "num_images"}
 """Fields of a sequence that its images say."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """What a run may have been made from, of which a data set has labels.
+
+    Attributes:
+        digest: By which it is known, wherever it is; see `foreglow.runs.origin.origin_digest`.
+        folder: Its path below the folder of the images, with `/`; empty for that itself, a video or a split.
+        is_split: Whether a run on it takes its frames' numbers from PVDN's labels.
+        ids: Pairs of a run's frame and the id of the same image in the data set, for all images of the data set that
+            are there; None if these are all that it has, with the same numbers.
+    """
+
+    digest: str
+    folder: str = ""
+    is_split: bool = False
+    ids: tuple[tuple[int, int], ...] | None = None
+
+
+class OriginsFile(RootModel[tuple[Origin, ...]]):
+    """The list of them in a set's `info`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +100,13 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
         images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories))
     if not images:
         raise ValueError(f"{dataset.root}: frames: expected at least one image, got none")
-    ordinary = _attributes(Sequence.plain(0))
+    ordinary = _attributes(schema.Sequence.plain(0))
     lost["sequence with attributes (weather, road, driver, times, ...)"] = sum(
         _attributes(sequence) != ordinary for sequence in dataset.sequences
     )
     if isinstance(dataset, LabelFile):
         lost.update(dataset.labels.lost)
-    return LabelSet(tuple(images), +lost)
+    return LabelSet(tuple(images), +lost, origin=str(dataset.origin))
 
 
 def _wanted(dataset: LabelledSource, chosen: Collection[int] | None) -> tuple[int, ...]:
@@ -89,7 +123,7 @@ def _unknown_fields(vehicles: Collection[Vehicle]) -> list[str]:
     return [name for record in records for name in record.model_extra or {}]
 
 
-def _attributes(sequence: Sequence) -> dict[str, Any]:
+def _attributes(sequence: schema.Sequence) -> dict[str, Any]:
     return sequence.model_dump(exclude=_OWN)
 
 
@@ -123,7 +157,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
-    return LabelSet(tuple(images), is_video=isinstance(frames, Video))
+    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=str(origin_of(frames) or frames.name))
 
 
 def _name_of(frame: Frame, frames: FrameSource) -> str:
@@ -153,12 +187,15 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     """
     check_target(path, name)
     form = LABEL_FORMATS[name]
+    if form.has_names:
+        for image in labels.images:
+            plain_path(image.name, f"{labels.origin or path}: name of an image")
     text, lost = (form.guess_text if is_guess else form.text)(labels)
     write_atomic(path, text.encode())
     return Counter(labels.lost) + lost
 
 
-def write_split(dataset: LabelledSource, root: Path, origin: Collection[str] = ()) -> int:
+def write_split(dataset: LabelledSource, root: Path, origins: Sequence[Origin] = ()) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 
     Images and labels appear when all are written; what a killed process has left of them is removed by the next one.
@@ -166,7 +203,7 @@ def write_split(dataset: LabelledSource, root: Path, origin: Collection[str] = (
     Args:
         dataset: The data set.
         root: The folder of the split.
-        origin: By what the video or the folders that it is of are known, for its `info`.
+        origins: The video or the folders that it is of, for its `info`.
 
     Raises:
         ValueError: If an image or its labels cannot be used, `root` holds images or labels already, or another run is
@@ -178,7 +215,7 @@ def write_split(dataset: LabelledSource, root: Path, origin: Collection[str] = (
         hidden = root / _HIDDEN
         shutil.rmtree(hidden, ignore_errors=True)  # of a run that was killed
         try:
-            num_images = _write_sequences(dataset, hidden, root, origin)
+            num_images = _write_sequences(dataset, hidden, root, origins)
             for part in ("images", "labels"):
                 _remove_empty(root / part)
                 (hidden / part).rename(root / part)
@@ -194,10 +231,12 @@ def _remove_empty(folder: Path) -> None:
             each.rmdir()
 
 
-def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origin: Collection[str]) -> int:
+def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins: Sequence[Origin]) -> int:
     """As `write_split`, into `folder`, which becomes `root`."""
     num_images = 0
-    info = {"rate_hz": dataset.rate_hz} | ({ORIGIN: sorted(origin)} if origin else {})
+    info = {"rate_hz": dataset.rate_hz} | (
+        {ORIGIN: OriginsFile(tuple(origins)).model_dump(mode="json")} if origins else {}
+    )
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)

@@ -61,6 +61,14 @@ def test_perfect_scores() -> None:
     assert curve.best == (0.1, 1.0)
 
 
+def test_no_best_threshold_lies_below_0() -> None:
+    """Every box counts below 0, also one of score 0, and F was higher there; a threshold of 0 was printed as -0.000."""
+    boxes = {1: [(9, 9, 11, 11, 0.9), (19, 9, 21, 11, 0.0)], 2: [(49, 49, 51, 51, 0.0)]}
+    curve = quality_curve(match_boxes(TWO_IMAGES, predictions_of(boxes)))
+    assert curve.thresholds[0] < 0
+    assert curve.best == (0.0, 1 / (1 + 2 / 2))
+
+
 def test_nothing_to_rate() -> None:
     empty = Predictions({}, {})
     curve = quality_curve(match_boxes({1: np.empty((0, 2))}, empty))

@@ -22,8 +22,8 @@ from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
+from foreglow.runs.labels_of_run import LabelsOfRun, labels_of_run
 from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
-from foreglow.runs.recorded_run import doubt_about_labels
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,11 +131,12 @@ def evaluate_boxes(
 def evaluate_split(split: Path | str, predictions: Path | str, threshold: float | None = None) -> BoxQuality:
     """How well the predictions in a file explain a PVDN split.
 
-    Every image of the split counts, with all its instances: direct, indirect and rear. Each must have its keypoint
-    file. Image files are not needed. A warning tells what makes the figures others than the boxes deserve: images
-    without predictions, predictions for images that are not in the split, key points outside their image, and key
-    points that the labels of an image have several times, boxes that lie beyond their image; and labels of which
-    nothing tells whether they are for what the run was made from.
+    Every image of the split counts, with all its instances: direct, indirect and rear; if the predictions are of a run
+    on one of its folders, every image there. Each must have its keypoint file. Image files are not needed. A warning
+    tells what makes the figures others than the boxes deserve: images without predictions, predictions for images that
+    are not in the split, key points outside their image, and key points that the labels of an image have several times,
+    boxes that lie beyond their image; labels of which nothing tells whether they are for what the run was made from;
+    and labels that are for more than that.
 
     Args:
         split: The split's folder, or a sequence's for this sequence alone.
@@ -150,14 +151,14 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     given = None if threshold is None else checked_share("threshold", threshold)
     found = read_predictions(predictions)
     least = run_threshold(predictions) if given is None else given
-    dataset = open_labelled(split)
+    labels, found = compared_labels(Path(predictions), found, Path(split), open_labelled(split))
+    dataset = labels.dataset
     keypoints_px = split_keypoints_px(dataset)
-    doubt = check_images(Path(predictions), found, Path(split), dataset)
     quality = evaluate_boxes(keypoints_px, found, least)
     outside = sum(num_outside(dataset.image(image_id), points.tolist()) for image_id, points in keypoints_px.items())
     twins = sum(num_twins(dataset.annotations(image_id)) for image_id in keypoints_px)
-    if doubt is not None:
-        warnings.warn(doubt, stacklevel=2)
+    for line in labels.lines:
+        warnings.warn(line, stacklevel=2)
     for number, words in (
         (quality.num_missing, f"images of {split} without predictions, counted as without boxes"),
         (quality.num_unknown, f"images with predictions that {split} does not have, which are ignored"),
@@ -170,8 +171,10 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     return quality
 
 
-def check_images(path: Path, predictions: Predictions, split: Path, dataset: LabelledSource) -> str | None:
-    """Checks that predictions are for a split; a line if nothing tells whether the run that wrote them is for it.
+def compared_labels(
+    path: Path, predictions: Predictions, split: Path, dataset: LabelledSource
+) -> tuple[LabelsOfRun, Predictions]:
+    """The labels that predictions are compared with, and these by the images of the labels.
 
     Args:
         path: The file of the predictions.
@@ -183,15 +186,17 @@ def check_images(path: Path, predictions: Predictions, split: Path, dataset: Lab
         ValueError: If they are for none of its images, in relative coordinates, or by a run on something else, or the
             run's summary is broken.
     """
+    is_of_run = path.name == "frames.jsonl"
+    found = labels_of_run(path.parent, split, dataset) if is_of_run else LabelsOfRun(dataset)
     images = predictions.boxes_xyxy_px.keys()
-    if images and images.isdisjoint(dataset.frame_ids):
+    if images and images.isdisjoint(dataset.frame_ids if found.ids is None else found.ids):
         raise ValueError(f"{path}: expected boxes in images of {split}, got those of others, such as {min(images)}")
     most_px = max((float(boxes.max()) for boxes in predictions.boxes_xyxy_px.values() if boxes.size), default=math.inf)
     if most_px <= 1:
         raise ValueError(
             f"{path}: expected boxes in pixels, got none beyond 1, as of coordinates relative to the image"
         )
-    return doubt_about_labels(path.parent, split, dataset) if path.name == "frames.jsonl" else None
+    return found, found.of_images(predictions)
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:

@@ -39,11 +39,13 @@ class QualityCurve:
 
     @property
     def best(self) -> tuple[float, float]:
-        """The lowest threshold with the highest F, and that F; both NaN where there is neither keypoint nor box."""
-        if np.isnan(self.f1).all():
+        """The lowest threshold from 0 up with the highest F, and that F; both NaN where there is no keypoint or box."""
+        can_be_set = self.thresholds >= 0  # a threshold below 0 counts boxes of score 0, and no command takes one
+        thresholds, f1 = self.thresholds[can_be_set], self.f1[can_be_set]
+        if np.isnan(f1).all():
             return math.nan, math.nan
-        index = int(np.nanargmax(self.f1))
-        return float(self.thresholds[index]), float(self.f1[index])
+        index = int(np.nanargmax(f1))
+        return float(thresholds[index]), float(f1[index])
 
     @property
     def average_precision(self) -> float:
