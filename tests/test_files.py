@@ -22,8 +22,19 @@ import pytest
 from pydantic import BaseModel
 
 from foreglow.datasets.json_files import parse_json, read_json
-from foreglow.files import fields_to_json, json_text, number_in, read_plain_json, read_text, to_json, write_json_results
+from foreglow.files import (
+    fields_to_json,
+    file_digest,
+    json_text,
+    number_in,
+    read_plain_json,
+    read_text,
+    to_json,
+    write_json_results,
+)
+from foreglow.lab.learning.kept_files import check_torch_file, checksum, image_state
 from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
+from tests.pipes import ENDLESS, soon
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -249,6 +260,19 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
         path.write_bytes(b"half")
     write_atomic(tmp_path / "c.json", b"whole")
     assert set(tmp_path.iterdir()) == {*kept, tmp_path / "c.json"}
+
+
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_a_pipe_is_not_waited_for(tmp_path: Path, kind: str) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    pipe = tmp_path / f".a.json.{gone.pid}-1.tmp"
+    ENDLESS[kind](pipe)
+    with soon():
+        write_atomic(tmp_path / "c.json", b"whole")
+        for read in (file_digest, checksum, image_state, check_torch_file):
+            with pytest.raises(ValueError, match=f"tmp: expected a file, is {kind}$"):
+                read(pipe)
 
 
 def test_what_another_machine_writes_stays(tmp_path: Path) -> None:

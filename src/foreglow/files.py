@@ -228,11 +228,13 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file.
+    """SHA-256 of a regular file.
 
     Raises:
-        OSError: If it cannot be read.
+        OSError: If there is no such file, or it cannot be read.
+        ValueError: If it is no regular file.
     """
+    check_file(path)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -191,6 +191,8 @@ def check_database(path: Path) -> None:
     """
     if not path.exists() or (path.is_file() and path.stat().st_size == 0):
         return
+    if not path.is_file():
+        raise NoJournalError(f"{path}: expected a file for a database of searches, got something else")
     try:
         with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
             names = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
