@@ -29,6 +29,7 @@ from foreglow.files import (
     number_in,
     read_plain_json,
     read_text,
+    read_yaml,
     to_json,
     write_json_results,
 )
@@ -247,6 +248,14 @@ def test_a_key_that_comes_twice_in_json_is_refused(tmp_path: Path, text: str) ->
             read()
     path.write_text(f'[{{"a": 1}}, {{"a": {"9" * 4000}}}]')
     assert len(read_plain_json(path)) == 2
+
+
+def test_what_is_wrong_in_yaml_is_told_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: [1\nb: {\n")
+    with pytest.raises(ValueError, match=r"a\.yaml: expected YAML: .*line 2, column 2") as refused:
+        read_yaml(path)
+    assert "\n" not in str(refused.value)
 
 
 def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:

@@ -318,9 +318,9 @@ def test_no_value_raises(time_ns: int, is_vehicle: Any, names: Any) -> None:
     ("name", "value"),
     [
         *(("is_vehicle", value) for value in ([False], False, ())),
-        *(("wanted", value) for value in (None, BeamMode.LOW, {})),
+        *(("wanted", value) for value in (None, BeamMode.LOW, "low")),
         *(("pipeline_faults", value) for value in (None, "fault", 3, [None])),
-        *(("tracks", value) for value in (False, [])),
+        *(("tracks", value) for value in (False, "none")),
         *(("frame", value) for value in (None, np.zeros((960, 1280), np.uint8))),
         *(("time_ns", value) for value in (True, 1.5, "now")),
     ],

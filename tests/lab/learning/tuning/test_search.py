@@ -299,6 +299,14 @@ def test_a_file_that_is_no_journal_stays_as_it_is(tmp_path: Path, content: bytes
     assert list(tmp_path.iterdir()) == [notes]
 
 
+@pytest.mark.parametrize("storage", ["nosuch://me:se@cret@host/x", "nosuch://:se@cret@host:1/x?y=z"])
+def test_the_password_of_a_storage_is_not_shown(storage: str) -> None:
+    with pytest.raises(ValueError, match=r"^storage: nosuch://(me)?:\*\*\*@host") as refused:
+        open_study(StudyPlan(storage, "name", TuningSettings()))
+    assert "se@cret" not in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize("storage", ["sqlite:///{}", "{}"])
 @pytest.mark.parametrize("kind", ENDLESS)
 def test_a_pipe_is_no_storage(tmp_path: Path, kind: str, storage: str) -> None:
