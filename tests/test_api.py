@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import typing
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,6 +110,85 @@ def test_all_types_of_a_result_are_public() -> None:
     assert {foreglow.Ranges, foreglow.Tracks, foreglow.BeamCommand, foreglow.BeamMode, foreglow.RoadAhead} <= known
     assert all(getattr(foreglow, kind.__name__) is kind for kind in known)
     assert foreglow.TrackState(1) is foreglow.TrackState.CONFIRMED
+
+
+IMAGE = np.zeros((96, 128), np.uint8)
+PATHS: dict[str, Callable[[Any], object]] = {
+    "path": foreglow.read_image,
+    "path ": foreglow.read_config,
+    "path  ": foreglow.open_source,
+    "folder": foreglow.read_run,
+    "root": foreglow.PVDN,
+    "split": lambda path: foreglow.evaluate_split(path, "a.json"),
+    "predictions": lambda path: foreglow.evaluate_split("a", path),
+}
+
+
+@pytest.mark.parametrize("path", [None, True, 1, b"a", "", [], {}, IMAGE, "a\0b", "x" * 5000])
+@pytest.mark.parametrize("field", PATHS)
+def test_what_is_no_path_is_named(field: str, path: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{field.strip()}: expected the path of a file or folder, ") as refused:
+        PATHS[field](path)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize("value", [0, 1, "", [], {}, False, IMAGE])
+def test_an_argument_of_another_type_is_named(tmp_path: Path, value: Any) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("")
+    calls: dict[str, Callable[[], object]] = {
+        "base": lambda: foreglow.read_config(path, value),
+        "select": lambda: foreglow.PVDN(tmp_path, select=value),
+        "preset": lambda: foreglow.propose(IMAGE, value),
+        "scene": lambda: foreglow.simulate(value),
+    }
+    for field, call in calls.items():
+        with pytest.raises(ValueError, match=f"^{field}: expected "):
+            call()
+
+
+def test_predictions_of_ones_own_can_be_evaluated() -> None:
+    own = foreglow.Predictions({1: np.array([[0.0, 0.0, 9.0, 9.0]])}, {1: np.ones(1)})
+    assert foreglow.evaluate_boxes({1: np.array([[5, 5]])}, own).f1 == 1.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("is_scored", "yes", r"is_scored: expected True or False, got 'yes'"),
+        ("is_scored", None, r"is_scored: expected True or False"),
+        (
+            "direct_probabilities",
+            {1: [0.5]},
+            r"direct_probabilities: image 1: expected numbers .*, got list",
+        ),
+        (
+            "direct_probabilities",
+            {1: np.array([0.5, 0.5])},
+            r"direct_probabilities: image 1: expected numbers of",
+        ),
+        ("direct_probabilities", {1: np.array([1.5])}, r"direct_probabilities: image 1: expected numbers from 0 to 1"),
+        (
+            "direct_probabilities",
+            {2: np.array([0.5])},
+            r"direct_probabilities: expected images of boxes_.*, got 2",
+        ),
+        ("light_kinds", {1: np.ones((1, 5))}, r"light_kinds: image 1: expected numbers of shape \(1, 4\)"),
+        ("light_kinds", {1: np.full((1, 4), np.inf)}, r"light_kinds: image 1: expected finite numbers, got inf"),
+        (
+            "light_kinds",
+            {1: np.array([["a"] * 4])},
+            r"light_kinds: image 1: expected numbers of .*, got <U1",
+        ),
+    ],
+)
+def test_predictions_refuse_unfit_fields(field: str, value: Any, complaint: str) -> None:
+    boxes, scores = {1: np.array([[0.0, 0.0, 9.0, 9.0]])}, {1: np.ones(1)}
+    with pytest.raises(ValueError, match=rf"^Predictions\.{complaint}"):
+        foreglow.Predictions(boxes, scores, **{field: value})
+    unknown = {1: np.array([np.nan])}
+    assert foreglow.Predictions(boxes, scores, direct_probabilities=unknown).direct_probabilities is unknown
 
 
 def test_the_simulator_is_where_it_was() -> None:

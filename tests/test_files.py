@@ -22,8 +22,20 @@ import pytest
 from pydantic import BaseModel
 
 from foreglow.datasets.json_files import parse_json, read_json
-from foreglow.files import fields_to_json, json_text, number_in, read_plain_json, read_text, to_json, write_json_results
+from foreglow.files import (
+    fields_to_json,
+    file_digest,
+    json_text,
+    number_in,
+    read_plain_json,
+    read_text,
+    read_yaml,
+    to_json,
+    write_json_results,
+)
+from foreglow.lab.learning.kept_files import check_torch_file, checksum, image_state
 from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
+from tests.pipes import ENDLESS, soon
 
 
 def test_a_file_appears_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -238,6 +250,14 @@ def test_a_key_that_comes_twice_in_json_is_refused(tmp_path: Path, text: str) ->
     assert len(read_plain_json(path)) == 2
 
 
+def test_what_is_wrong_in_yaml_is_told_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("a: [1\nb: {\n")
+    with pytest.raises(ValueError, match=r"a\.yaml: expected YAML: .*line 2, column 2") as refused:
+        read_yaml(path)
+    assert "\n" not in str(refused.value)
+
+
 def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
@@ -249,6 +269,19 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
         path.write_bytes(b"half")
     write_atomic(tmp_path / "c.json", b"whole")
     assert set(tmp_path.iterdir()) == {*kept, tmp_path / "c.json"}
+
+
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_a_pipe_is_not_waited_for(tmp_path: Path, kind: str) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    pipe = tmp_path / f".a.json.{gone.pid}-1.tmp"
+    ENDLESS[kind](pipe)
+    with soon():
+        write_atomic(tmp_path / "c.json", b"whole")
+        for read in (file_digest, checksum, image_state, check_torch_file):
+            with pytest.raises(ValueError, match=f"tmp: expected a file, is {kind}$"):
+                read(pipe)
 
 
 def test_what_another_machine_writes_stays(tmp_path: Path) -> None:

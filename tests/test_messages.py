@@ -8,7 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import foreglow
 from foreglow.geometry import Pose, checked_number
+from foreglow.pipeline import Pipeline
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks, Vehicles
 from tests.beam.made_up import CAMERA
 from tests.stand_ins import tracks_of
@@ -53,6 +55,10 @@ CASES: dict[str, Callable[[], object]] = {
     "number": lambda: checked_number("number", "x" * MANY),
     "long number": lambda: checked_number("number", 10 ** (2 * MANY)),
     "time": lambda: Frame(np.zeros((64, 64), np.uint8), 10 ** (2 * MANY), 0),
+    "a value with arrays": lambda: Pipeline(tracks()),  # type: ignore[arg-type]
+    "an image for a configuration": lambda: Pipeline(np.zeros((96, 128))),  # type: ignore[arg-type]
+    "a path that is an image": lambda: foreglow.open_source(np.zeros((96, 128))),  # type: ignore[arg-type]
+    "a path that is long": lambda: foreglow.read_image("x" * MANY),
     "focal length": lambda: dataclasses.replace(CAMERA, focal_px=np.ones(MANY)),  # type: ignore[arg-type]
 }
 

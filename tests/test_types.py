@@ -7,12 +7,14 @@ import dataclasses
 import math
 import pickle
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import foreglow
 from foreglow.geometry import Camera, Pose
 from foreglow.types import (
     BeamCommand,
@@ -58,6 +60,8 @@ def test_frame_refuses_what_is_no_time(time: Any) -> None:
     [
         ("frame", "7", "a whole number, got str"),
         ("frame", 1.5, "a whole number, got float"),
+        ("frame", True, "a whole number, got bool"),
+        ("timestamp_ns", True, "nanoseconds as a whole number of 64 bits, got True"),
         ("frame", 2**63, "a whole number of 64 bits, got 9223372036854775808"),
         ("sequence", None, "a name, got NoneType"),
         ("motion", (10.0, 0.0), "an EgoMotion or None, got tuple"),
@@ -70,14 +74,35 @@ def test_frame_refuses_what_is_no_time(time: Any) -> None:
 )
 def test_frame_refuses_values_of_another_type(field: str, value: Any, complaint: str) -> None:
     with pytest.raises(ValueError, match=rf"a\.png: Frame\.{field}: expected {complaint}"):
-        Frame(np.zeros((3, 5), np.uint8), 0, **({"path": "a.png", field: value}))
+        Frame(**({"image": np.zeros((3, 5), np.uint8), "timestamp_ns": 0, "path": "a.png", field: value}))
 
 
-def test_a_masked_image_becomes_a_plain_one() -> None:
+@pytest.mark.parametrize("path", [None, 1, b"a.png", Path("a.png"), np.zeros(0), np.zeros((2, 4)), ()])
+def test_the_path_of_a_frame_is_a_text(path: Any) -> None:
+    with pytest.raises(ValueError, match=r"^Frame\.path: expected a text, got"):
+        Frame(np.zeros((3, 5), np.uint8), 0, path=path)
+
+
+def test_a_masked_image_becomes_a_plain_one_if_nothing_is_masked() -> None:
     image = np.arange(15, dtype=np.uint8).reshape(3, 5)
-    frame = Frame(np.ma.masked_array(image, mask=image > 7), 0)
+    frame = Frame(np.ma.masked_array(image), 0)
     assert type(frame.image) is np.ndarray
     np.testing.assert_array_equal(frame.image, image)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Frame(np.ma.masked_greater(np.arange(15, dtype=np.uint8).reshape(3, 5), 7), 0),
+        lambda: foreglow.to_grey(np.ma.masked_greater(np.arange(15, dtype=np.uint8).reshape(3, 5), 7)),
+        lambda: Proposals(np.ma.masked_greater(BOXES, 7)),
+        lambda: RoadAhead(np.ma.masked_greater(np.eye(3), 0), 4.0),
+    ],
+)
+def test_masked_values_are_refused(make: Callable[[], object]) -> None:
+    """The mask was ignored."""
+    with pytest.raises(ValueError, match=r"expected (no masked values, got \d+: fill them first|numbers, got)"):
+        make()
 
 
 def test_frame_keeps_plain_numbers() -> None:

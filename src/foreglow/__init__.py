@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from foreglow.lab.simulation import simulate
     from foreglow.pipeline import Pipeline
     from foreglow.proposals import Proposer
+    from foreglow.runs.predictions import Predictions
     from foreglow.runs.recorded_run import RecordedRun, read_run
     from foreglow.tracking import Tracker
     from foreglow.types import (
@@ -60,6 +61,7 @@ __all__ = [
     "FrameResult",
     "Pipeline",
     "PipelineConfig",
+    "Predictions",
     "Proposals",
     "RangeEstimator",
     "Ranges",
@@ -93,6 +95,7 @@ _NAMES = {
     "lab.evaluation": "BoxQuality evaluate_boxes evaluate_split",
     "lab.simulation": "simulate",
     "pipeline": "Pipeline",
+    "runs.predictions": "Predictions",
     "runs.recorded_run": "RecordedRun read_run",
     "tracking": "Tracker",
     "types": (
@@ -122,8 +125,11 @@ def propose(image: NDArray[Any], preset: str = "foreglow") -> NDArray[np.int32]:
     >>> propose(np.zeros((96, 128), np.uint8)).shape
     (0, 4)
     """
+    from foreglow.config import PRESETS
     from foreglow.datasets import to_grey
+    from foreglow.wording import check_one_of
 
+    check_one_of(preset, PRESETS, "preset")
     return _proposer(preset, threading.get_ident()).propose(to_grey(image)).boxes_xyxy_px
 
 

@@ -181,6 +181,27 @@ def check_each_once(values: Iterable[Path | str], field: str) -> None:
         seen.add(key)
 
 
+def checked_path(path: object, field: str = "path") -> Path:
+    """`path`, if it is one: an empty text would stand for the working directory.
+
+    Raises:
+        ValueError: If it is no path or text, or no file can have such a name; the message begins with `field`.
+
+    >>> checked_path(None, "split")
+    Traceback (most recent call last):
+    ValueError: split: expected the path of a file or folder, got None
+    """
+    if not isinstance(path, str | os.PathLike) or not str(path) or "\0" in str(path):
+        raise ValueError(f"{field}: expected the path of a file or folder, got {shortened(path)}")
+    found = Path(path)
+    try:
+        found.exists()
+    except OSError as error:  # a name that is too long
+        reason = error.strerror or str(error)
+        raise ValueError(f"{field}: expected the path of a file or folder, {reason}: {shortened(str(path))}") from None
+    return found
+
+
 def check_is_folder(path: Path, expected: str) -> None:
     """Passes a folder.
 
@@ -228,11 +249,13 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file.
+    """SHA-256 of a regular file.
 
     Raises:
-        OSError: If it cannot be read.
+        OSError: If there is no such file, or it cannot be read.
+        ValueError: If it is no regular file.
     """
+    check_file(path)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -309,7 +332,7 @@ def read_yaml(path: Path) -> Any:
         _check_keys(yaml.compose(text, loader))
         return yaml.load(text, loader)  # a safe one
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: expected YAML: {error}") from None
+        raise ValueError(f"{path}: expected YAML: {' '.join(str(error).split())}") from None
 
 
 def _check_keys(node: Any) -> None:

@@ -55,7 +55,7 @@ def checked_floats(field: str, values: object) -> Floats:
     """
     with contextlib.suppress(ValueError):  # lists of several lengths
         array = np.array(values)
-        if array.dtype.kind in "biuf":
+        if array.dtype.kind in "biuf" and not np.ma.is_masked(values):
             return array.astype(np.float64)
     raise ValueError(f"{field}: expected numbers, got {shortened(values)}")
 

@@ -15,6 +15,7 @@ from foreglow.config import PipelineConfig, preset
 from foreglow.plugins import METHODS, built, check_methods, checked, name_of, staying
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     from foreglow.beam import BeamPolicy, BeamStage
@@ -183,7 +184,9 @@ class Pipeline:
                 field, and what was expected.
         """
         if not isinstance(config, PipelineConfig | None):
-            raise ValueError(f"Pipeline.config: expected what foreglow.preset or read_config gives, got {config!r}")
+            raise ValueError(
+                f"Pipeline.config: expected what foreglow.preset or read_config gives, got {shortened(config)}"
+            )
         self._stages = Stages(config or preset("foreglow"), estimator=estimator, tracker=tracker, policy=policy)
         self.config = self._stages.config
         self._stages.build()

@@ -241,7 +241,7 @@ def _clear(folder: Path) -> None:
     with contextlib.suppress(OSError):
         for left in folder.iterdir():
             found = _TEMPORARY.fullmatch(left.name)
-            if found and not _is_alive(int(found[1])):
+            if found and left.is_file() and not _is_alive(int(found[1])):  # a pipe would wait for a writer
                 with left.open("rb") as file:
                     if _try_lock(file):  # else a process on another machine writes it
                         left.unlink()

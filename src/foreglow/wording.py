@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 from typing import Any, get_args
 
@@ -19,7 +20,7 @@ _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 80
 
 
 def shortened(value: object) -> str:
-    """`value` as Python writes it, cut for a message, whatever its size.
+    """`value` as Python writes it, in one line and cut for a message, whatever its size.
 
     >>> shortened([1, "x" * 1000])[:6], len(shortened([1, "x" * 1000]))
     ("[1, 'x", 80)
@@ -27,7 +28,7 @@ def shortened(value: object) -> str:
     ('[0, 1, 2, 3, 4, 5, ...]', 'a whole number of 16610 bits')
     """
     as_list = getattr(value, "tolist", None)  # of an array or a scalar of NumPy's
-    text = _SHORT.repr(as_list() if callable(as_list) else value)
+    text = re.sub(r"\s*\n\s*", " ", _SHORT.repr(as_list() if callable(as_list) else value))  # as of values with arrays
     return text if len(text) <= 80 else text[:77] + "..."
 
 

@@ -314,6 +314,25 @@ def test_no_value_raises(time_ns: int, is_vehicle: Any, names: Any) -> None:
     assert (GuardFault.BAD_TRACKS in command.faults) == (is_vehicle is not None and len(is_vehicle) > 0)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("is_vehicle", value) for value in ([False], False, ())),
+        *(("wanted", value) for value in (None, BeamMode.LOW, "low")),
+        *(("pipeline_faults", value) for value in (None, "fault", 3, [None])),
+        *(("tracks", value) for value in (False, "none")),
+        *(("frame", value) for value in (None, np.zeros((960, 1280), np.uint8))),
+        *(("time_ns", value) for value in (True, 1.5, "now")),
+    ],
+)
+def test_an_argument_of_another_type_is_named(name: str, value: Any) -> None:
+    guard, frame = running(), frame_at(25)
+    right: dict[str, Any] = {"wanted": full(frame, NUM_LEDS), "tracks": NOBODY, "frame": frame}
+    with pytest.raises(ValueError, match=rf"^{name}: expected "):
+        guard.check(**right | {name: value})
+    assert not guard.check(**right).faults  # it remembers nothing of it
+
+
 def test_reset() -> None:
     guard = running()
     next_check(guard, frame_at(25), tracks_of([AHEAD], [50.0], ages_s=9.0))

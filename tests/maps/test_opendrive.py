@@ -60,6 +60,17 @@ def test_a_spiral_bends_as_a_clothoid(tmp_path: Path) -> None:
     np.testing.assert_allclose(line.points_m[-1, :2], [x, y], atol=1e-3)
 
 
+@pytest.mark.parametrize("axis", "UV")
+@pytest.mark.parametrize("power", "abcd")
+def test_a_coefficient_that_is_far_too_large_is_refused(tmp_path: Path, axis: str, power: str) -> None:
+    """Without a warning of NumPy's before, which is an error in tests."""
+    numbers = {f"{name}{of}": 1.0 for of in "UV" for name in "abcd"} | {f"{power}{axis}": 1e308}
+    words = " ".join(f'{name}="{value}"' for name, value in numbers.items())
+    shape = f"<paramPoly3 {words}/>"
+    with pytest.raises(ValueError, match=r"\.xodr: road"):
+        read(tmp_path, road(geometry(0, 0, 0, 0, 20, shape), 20))
+
+
 @pytest.mark.parametrize(("p_range", "scale"), [("arcLength", 1.0), ("normalized", 20.0)])
 def test_a_parametric_cubic(tmp_path: Path, p_range: str, scale: float) -> None:
     """v = 0.01 u^2."""

@@ -35,6 +35,8 @@ from foreglow.beam.sightlines import Sightlines
 from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import MIN_STEP_S, BeamCommand, BeamMode, Frame, Tracks
+from foreglow.types.arrays import check_kind
+from foreglow.wording import shortened
 
 
 class Guard:
@@ -75,8 +77,8 @@ class Guard:
     ) -> BeamCommand:
         """The command that may be carried out.
 
-        Types are the caller's: the values check their own, and an argument that is none of these classes raises as
-        Python has it. No value raises: what a guard must not trust is a fault, and means low beam.
+        Types are the caller's: an argument of another class is an error, before anything is remembered. No value
+        raises: what a guard must not trust is a fault, and means low beam.
 
         Args:
             wanted: The policy's command for the frame; a fault in it means low beam.
@@ -87,8 +89,9 @@ class Guard:
             is_vehicle: Shape (M,), which tracks are a vehicle's lamps; None for all. Only plausible tracks count.
 
         Raises:
-            ValueError: If the camera's distortion cannot be undone.
+            ValueError: If an argument is of another type, or the camera's distortion cannot be undone.
         """
+        _check_kinds(wanted, tracks, frame, time_ns, pipeline_faults, is_vehicle)
         elapsed_s, faults = self._clock_faults(frame.timestamp_ns, frame.timestamp_ns if time_ns is None else time_ns)
         faults += self._watch.faults(
             frame.image, frame.timestamp_ns, is_moving=self._is_moving(frame), is_damaged=frame.is_damaged
@@ -180,6 +183,22 @@ class Guard:
         if wanted.timestamp_ns != frame.timestamp_ns:
             faults.append(GuardFault.STALE_COMMAND)
         return faults
+
+
+def _check_kinds(
+    wanted: object, tracks: object, frame: object, time_ns: object, pipeline_faults: object, is_vehicle: object
+) -> None:
+    """ValueError if an argument of `Guard.check` is of another type."""
+    check_kind("wanted", wanted, BeamCommand)
+    check_kind("frame", frame, Frame)
+    check_kind("pipeline_faults", pipeline_faults, Sequence)
+    for name, value, kind in (("tracks", tracks, Tracks), ("is_vehicle", is_vehicle, np.ndarray)):
+        if value is not None:
+            check_kind(name, value, kind)
+    if not isinstance(time_ns, int | np.integer | None) or isinstance(time_ns, bool):
+        raise ValueError(f"time_ns: expected nanoseconds as a whole number, got {shortened(time_ns)}")
+    if isinstance(pipeline_faults, str) or not all(isinstance(name, str) for name in pipeline_faults):  # type: ignore[attr-defined]
+        raise ValueError(f"pipeline_faults: expected the names of faults, got {shortened(pipeline_faults)}")
 
 
 def _speed_mps(frame: Frame) -> float:

@@ -16,6 +16,7 @@ from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
 from foreglow.types import KINDS, Detections, Frame, Proposals
 from foreglow.types.kinds import kinds_of_direct
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -190,15 +191,14 @@ def _number(path: Path, metadata: dict[str, str], name: str) -> float:
     try:
         return float(text or "")
     except ValueError as error:
-        raise ValueError(f"{path}: metadata: {name}: expected a number, got {text!r}") from error
+        raise ValueError(f"{path}: metadata: {name}: expected a number, got {shortened(text)}") from error
 
 
 def _whole(path: Path, metadata: dict[str, str], name: str) -> int:
     number = _number(path, metadata, name)
     if not number.is_integer() or not 1 <= number <= _MAX_SUPPORT:
-        raise ValueError(
-            f"{path}: metadata: {name}: expected a whole number from 1 to {_MAX_SUPPORT}, got {metadata[name]!r}"
-        )
+        got = shortened(metadata[name])
+        raise ValueError(f"{path}: metadata: {name}: expected a whole number from 1 to {_MAX_SUPPORT}, got {got}")
     return int(number)
 
 

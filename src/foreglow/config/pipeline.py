@@ -19,8 +19,8 @@ from foreglow.config.stages import (
     StandingConfig,
     TrackerConfig,
 )
-from foreglow.files import read_toml
-from foreglow.wording import check_one_of
+from foreglow.files import checked_path, read_toml
+from foreglow.wording import check_one_of, shortened
 
 
 class PipelineConfig(FrozenModel):
@@ -107,10 +107,14 @@ def read_config(path: Path | str, base: PipelineConfig | None = None) -> Pipelin
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
+        ValueError: If it is not TOML, or a field is unknown or out of range, or an argument is of another type; the
+            message names path and field.
     """
-    given = read_toml(Path(path))
-    merged: dict[str, Any] = (base or PRESETS["paper"]).model_dump()
+    if not isinstance(base, PipelineConfig | None):
+        raise ValueError(f"base: expected what foreglow.preset or read_config gives, got {shortened(base)}")
+    path = checked_path(path)
+    given = read_toml(path)
+    merged: dict[str, Any] = (PRESETS["paper"] if base is None else base).model_dump()
     for section, fields in given.items():
         known = merged.get(section)
         merged[section] = known | fields if isinstance(known, dict) and isinstance(fields, dict) else fields

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
 
 from foreglow.datasets.bags import Recording, is_recording
@@ -17,6 +16,7 @@ from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import PVDN, is_pvdn
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.video import Video
+from foreglow.files import checked_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +84,7 @@ def open_source(
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
         ValueError: If it or an option cannot be used; whether the source needs the option does not matter.
     """
-    path, rate_hz = _named(path), checked_rate_hz(rate_hz)
+    path, rate_hz = checked_path(path), checked_rate_hz(rate_hz)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
     chosen = FORMATS[format_of(path)]
@@ -105,15 +105,8 @@ def open_labelled(path: Path | str) -> LabelledSource:
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
         ValueError: If its labels cannot be used.
     """
-    path = _named(path)
+    path = checked_path(path)
     for each in FORMATS.values():
         if each.labelled is not None and path.exists() and each.is_at(path):
             return each.labelled(path)
     return PVDN(path)  # raises, and says what is missing
-
-
-def _named(path: Path | str) -> Path:
-    """`path`, if it is one: an empty text would stand for the working directory."""
-    if not isinstance(path, str | PathLike) or not str(path):
-        raise ValueError(f"path: expected that of a file or folder, got {path!r}")
-    return Path(path)

@@ -23,8 +23,9 @@ from foreglow.datasets.image_bytes import (
     png_size_px,
     size_px,
 )
-from foreglow.files import check_file, read_bytes
+from foreglow.files import check_file, checked_path, read_bytes
 from foreglow.types import Image
+from foreglow.types.arrays import check_unmasked
 from foreglow.types.frame import COLOURLESS
 from foreglow.wording import check_one_of
 
@@ -91,14 +92,14 @@ def read_image(path: Path | str) -> Image:
         ValueError: If it is empty, not an image, truncated, damaged, smaller than `MIN_SIDE_PX` or larger than
             `MAX_SIDE_PX` on a side, or holds floats outside [0, 1].
     """
-    path = Path(path)
+    path = checked_path(path)
     array, order = _array_in(path)
     return to_grey(array, str(path), order=order)
 
 
 def read_coloured_image(path: Path | str) -> tuple[Image, Chroma | None]:
     """The grey image in the file at `path` as in `read_image`, and its `red_chroma`; the same errors."""
-    path = Path(path)
+    path = checked_path(path)
     array, order = _array_in(path)
     return to_grey(array, str(path), order=order), red_chroma(array, order=order)
 
@@ -187,6 +188,7 @@ def _checked_array(array: object, prefix: str) -> NDArray[Any]:
         raise ValueError(f"{prefix}image: expected shape (height, width) or (height, width, 1..4), got {array.shape}")
     if array.size == 0:
         raise ValueError(f"{prefix}image: expected at least one pixel, got shape {array.shape}")
+    check_unmasked(f"{prefix}image", array)
     if array.dtype.kind == "f":
         return _checked_floats(array, prefix)
     if array.dtype.kind != "u" or array.dtype.itemsize > 2:

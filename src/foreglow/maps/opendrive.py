@@ -180,6 +180,7 @@ def _clothoid(curvature_per_m: float, change_per_m2: float, ways_m: Floats) -> F
     return np.stack([x, y, curvature_per_m * ways_m + change_per_m2 / 2 * ways_m**2], -1)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # the points are checked when they make a line
 def _parametric(shape: Element, parameters: Floats, origin: str) -> Floats:
     """x, y and heading of a curve whose x and y are cubics of a parameter."""
     powers = np.stack([parameters**k for k in range(4)])
@@ -188,6 +189,7 @@ def _parametric(shape: Element, parameters: Floats, origin: str) -> Floats:
     return np.stack([u @ powers, v @ powers, np.arctan2(v @ slopes, u @ slopes)], -1)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # likewise
 def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> Floats:
     """Piecewise cubics a + b ds + c ds^2 + d ds^3, each from its `begin` on, shape (N,); 0 before the first."""
     pieces = sorted(pieces, key=lambda piece: number_of(piece, begin, origin))

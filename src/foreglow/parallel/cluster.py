@@ -70,13 +70,13 @@ def _connected(address: str) -> Client:
 
     from distributed import Client
 
+    from foreglow.parallel.scheduler import check_scheduler
+
+    asyncio.run(check_scheduler(address, CONNECT_S))
     try:
-        asyncio.run(_answers(address))
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except OSError as error:
+    except OSError as error:  # it answered before
         raise ConnectionError(f"--cluster {address}: expected a dask scheduler, nothing answers there") from error
-    except ValueError as error:
-        raise ValueError(f"--cluster: expected an address such as tcp://host:8786, got {address}: {error}") from error
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
     except TimeoutError as error:
@@ -86,22 +86,6 @@ def _connected(address: str) -> Client:
             f"dask worker {address} --nthreads 1"
         ) from error
     return client
-
-
-async def _answers(address: str) -> None:
-    """Waits for a scheduler's first answer; a `Client` would wait for that of a mute listener for ever.
-
-    Raises:
-        OSError: If none comes within `CONNECT_S`.
-    """
-    import asyncio
-
-    from distributed import Security
-    from distributed.comm.core import connect
-
-    security = Security().get_connection_args("client")
-    comm = await asyncio.wait_for(connect(address, timeout=CONNECT_S, **security), CONNECT_S)
-    comm.abort()
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.resampling import MAX_CELLS, bilinear
+from foreglow.wording import shortened
 
 NUM_LEDS = 84
 """LEDs of a built-in lamp: 3 rows of 28."""
@@ -72,7 +73,7 @@ class MatrixLamp:
         """
         levels = np.asarray(levels, np.float32)
         if levels.shape != (self.num_leds,) or not ((levels >= 0) & (levels <= 1)).all():
-            raise ValueError(f"levels: expected {self.num_leds} numbers from 0 to 1, got {levels!r}")
+            raise ValueError(f"levels: expected {self.num_leds} numbers from 0 to 1, got {shortened(levels)}")
         intensities = self.base.intensities_cd.copy()
         intensities[self.rows, self.columns] += np.tensordot(levels, self.leds_cd, 1)
         return IntensityTable(self.base.azimuths_deg, self.base.elevations_deg, intensities)

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from foreglow.datasets.json_files import read_json
+from foreglow.files import checked_path
 from foreglow.geometry import Floats
 from foreglow.runs.frame_line import Box, FrameLine, check_per_box
 from foreglow.runs.frames_file import own_threshold, read_frame_lines
@@ -41,7 +42,7 @@ class Predictions:
 
     Raises:
         ValueError: If a field is of another type or shape, an image id is no number, a box is not finite or ends before
-            it begins, or a score is no number from 0 to 1.
+            it begins, or a score or another probability is no number from 0 to 1.
     """
 
     boxes_xyxy_px: Mapping[int, NDArray[np.float64]]
@@ -63,6 +64,27 @@ class Predictions:
             name = f"Predictions.scores: image {image_id}"
             check_numbers(name, scores, (len(boxes),))
             _check_scores(scores, f"{name}: ")
+        if not isinstance(self.is_scored, bool | np.bool_):
+            raise ValueError(f"Predictions.is_scored: expected True or False, got {shortened(self.is_scored)}")
+        for image_id in self.direct_probabilities:
+            self._check_beside("direct_probabilities", image_id, ())
+        for image_id in self.light_kinds:
+            self._check_beside("light_kinds", image_id, (len(LIGHT_KINDS),))
+
+    def _check_beside(self, field: str, image_id: int, shape: tuple[int, ...]) -> None:
+        """ValueError if what is known of the boxes of an image is not from 0 to 1, or NaN where unknown."""
+        values, boxes = getattr(self, field)[image_id], self.boxes_xyxy_px.get(image_id)
+        if boxes is None:
+            raise ValueError(f"Predictions.{field}: expected images of boxes_xyxy_px, got {shortened(image_id)}")
+        name = f"Predictions.{field}: image {image_id}"
+        known = (
+            np.where(np.isnan(values), 0.0, values)
+            if isinstance(values, np.ndarray) and values.dtype.kind == "f"
+            else values
+        )
+        check_numbers(name, known, (len(boxes), *shape))
+        if ((known < 0) | (known > 1)).any():
+            raise ValueError(f"{name}: expected numbers from 0 to 1, got {known[(known < 0) | (known > 1)][0]}")
 
 
 def check_image_ids(field: str, images: Mapping[int, object]) -> None:
@@ -154,7 +176,7 @@ def read_predictions(path: Path | str) -> Predictions:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form; the message names the line or the key, and the field.
     """
-    path = Path(path)
+    path = checked_path(path, "predictions")
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file, expected predictions")
     return _from_lines(path) if path.suffix.lower() == ".jsonl" else _from_published(path)

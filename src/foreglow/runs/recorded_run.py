@@ -17,6 +17,7 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
+from foreglow.files import checked_path
 from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.own_files import COCO_RESULTS, TABLE, FileKind
 from foreglow.runs.frame_line import FrameLine
@@ -189,7 +190,7 @@ def read_run(folder: Path | str) -> RecordedRun:
         FileNotFoundError: If one of its files is missing.
         ValueError: If one is broken; the message names path, line and field.
     """
-    folder = Path(folder)
+    folder = checked_path(folder, "folder")
     frames = folder / "frames.jsonl"
     if not frames.is_file():
         raise FileNotFoundError(f"{frames}: no such file, expected the folder of a run")

@@ -45,6 +45,21 @@ def frozen_view(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
+def check_unmasked(field: str, array: NDArray[Any]) -> None:
+    """Passes an array in which nothing is masked: what is, would count like the rest.
+
+    Raises:
+        ValueError: If something is; the message begins with `field`.
+
+    >>> check_unmasked("image", np.ma.masked_equal([1, 2, 2], 2))
+    Traceback (most recent call last):
+    ValueError: image: expected no masked values, got 2: fill them first, with array.filled(value)
+    """
+    if isinstance(array, np.ma.MaskedArray) and np.ma.is_masked(array):
+        num = int(np.count_nonzero(np.ma.getmaskarray(array)))
+        raise ValueError(f"{field}: expected no masked values, got {num}: fill them first, with array.filled(value)")
+
+
 def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[int | None, ...]) -> NDArray[Any]:
     """A read-only view of `array`.
 
@@ -62,6 +77,7 @@ def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[
     ValueError: Tracks.ids: expected int64 of shape (N,), got list
     """
     if isinstance(array, np.ndarray) and array.dtype == dtype:
+        check_unmasked(field, array)
         is_fit = array.shape == shape
         if is_fit or (None in shape and len(shape) == array.ndim and _fits(array.shape, shape)):
             return frozen_view(array)
@@ -80,6 +96,7 @@ def check_numbers(field: str, array: object, shape: tuple[int | None, ...]) -> N
     """
     is_of_numbers = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
     if isinstance(array, np.ndarray) and is_of_numbers and len(shape) == array.ndim and _fits(array.shape, shape):
+        check_unmasked(field, array)
         is_finite = np.isfinite(array)
         if not is_finite.all():
             raise ValueError(f"{field}: expected finite numbers, got {array[~is_finite][0]}")
@@ -107,7 +124,7 @@ def checked_time_ns(field: str, time_ns: object) -> int:
     Traceback (most recent call last):
     ValueError: Frame.timestamp_ns: expected nanoseconds as a whole number of 64 bits, got 1.5
     """
-    if not isinstance(time_ns, int | np.integer) or not -(2**63) <= time_ns < 2**63:
+    if not isinstance(time_ns, int | np.integer) or isinstance(time_ns, bool) or not -(2**63) <= time_ns < 2**63:
         raise ValueError(f"{field}: expected nanoseconds as a whole number of 64 bits, got {shortened(time_ns)}")
     return int(time_ns)
 

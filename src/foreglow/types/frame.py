@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Camera, checked_floats, checked_number
-from foreglow.types.arrays import Image, Value, checked_time_ns, frozen_view
+from foreglow.types.arrays import Image, Value, check_unmasked, checked_time_ns, frozen_view
 from foreglow.wording import shortened
 
 MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
@@ -145,9 +145,9 @@ class Frame(Value):
             white, more for red. None without colour.
 
     Raises:
-        ValueError: If the image is not two-dimensional, is empty, or is neither uint8 nor uint16, the camera is for
-            images of another size, the number or the time is no whole number of 64 bits, another field is of a wrong
-            type, the earlier image is not earlier, or the chroma has another shape or type.
+        ValueError: If the image is not two-dimensional, is empty, has masked pixels, or is neither uint8 nor uint16,
+            the camera is for images of another size, the number or the time is no whole number of 64 bits, another
+            field is of a wrong type, the earlier image is not earlier, or the chroma has another shape or type.
     """
 
     image: Image
@@ -164,6 +164,8 @@ class Frame(Value):
     red_chroma: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.path, str):
+            raise ValueError(f"Frame.path: expected a text, got {type(self.path).__name__}")
         origin = f"{self.path}: " if self.path else ""
         if not isinstance(self.image, np.ndarray) or self.image.ndim != 2:
             shape = getattr(self.image, "shape", type(self.image).__name__)
@@ -177,9 +179,10 @@ class Frame(Value):
             )
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
+        check_unmasked(f"{origin}Frame.image", self.image)
         for name, (kinds, wanted) in _KINDS.items():
             value = getattr(self, name)
-            if not isinstance(value, kinds):
+            if not isinstance(value, kinds) or (name == "frame" and isinstance(value, bool)):
                 raise ValueError(f"{origin}Frame.{name}: expected {wanted}, got {type(value).__name__}")
         if not -(2**63) <= self.frame < 2**63:
             raise ValueError(f"{origin}Frame.frame: expected a whole number of 64 bits, got {shortened(self.frame)}")
@@ -202,6 +205,7 @@ class Frame(Value):
                 f"{self.earlier.timestamp_ns} ns"
             )
         if self.red_chroma is not None:
+            check_unmasked(f"{origin}Frame.red_chroma", self.red_chroma)
             half = (-(-self.image.shape[0] // 2), -(-self.image.shape[1] // 2))
             shape, dtype = self.red_chroma.shape, self.red_chroma.dtype
             if shape != half or dtype != np.uint8:

@@ -59,6 +59,29 @@ def test_the_first_frame_of_an_asc_counts_whatever_its_head_is(tmp_path: Path, h
     assert read_can_log(path).has_street
 
 
+@pytest.mark.parametrize(
+    "line",
+    ["base oct", "base oct timestamps absolute", "base hex timestamps rel", "base hex absolute", "base ", "BASE bin"],
+)
+def test_a_base_that_is_not_known_is_refused(tmp_path: Path, line: str) -> None:
+    """It was read as hexadecimal and absolute."""
+    path = tmp_path / "drive.asc"
+    write_can_log(path, [(0, message())])
+    path.write_text(re.sub("base hex.*", line, path.read_text()))
+    with pytest.raises(
+        ValueError, match=r"drive\.asc: line 2: expected base hex or dec, timestamps absolute, got '[bB]"
+    ):
+        read_can_log(path)
+
+
+@pytest.mark.parametrize("line", ["base hex", "  Base hex  timestamps  Absolute  "])
+def test_a_base_that_is_known_is_read(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "drive.asc"
+    write_can_log(path, [(0, message())])
+    path.write_text(re.sub("base hex.*", line, path.read_text()))
+    assert read_can_log(path).has_street
+
+
 EVENTS = """
 // 1.0 1 3A1 Rx d 8 00
 //1.0 1 3A1 Rx d 8 00

@@ -40,6 +40,7 @@ from foreglow.types import Frame
 from foreglow.whole_files import RemadeWarning, output_words
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
 from tests.lab.learning.tiny_training import make_samples
+from tests.pipes import ENDLESS, soon
 
 pytestmark = pytest.mark.torch
 
@@ -237,6 +238,19 @@ def test_something_else_in_place_of_a_cache(own: PVDN, tmp_path: Path, name: str
         folder.write_text("a file")
     with pytest.warns(RemadeWarning):
         assert len(cached_samples(own, PLAIN, str(tmp_path))) > 0
+
+
+@pytest.mark.parametrize("name", ["", "samples.json", "labels.npy", "crops.npy"])
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_a_pipe_in_a_cache_is_not_waited_for(own: PVDN, tmp_path: Path, kind: str, name: str) -> None:
+    folder = tmp_path / cached_samples(own, PLAIN, tmp_path).digest[:16]
+    if name:
+        (folder / name).unlink()
+    else:
+        shutil.rmtree(folder)
+    ENDLESS[kind](folder / name)
+    with soon(), pytest.warns(RemadeWarning):
+        assert len(cached_samples(own, PLAIN, tmp_path)) > 0
 
 
 def test_an_image_of_the_same_size_and_time_is_noticed(own: PVDN, tmp_path: Path) -> None:

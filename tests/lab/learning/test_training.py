@@ -27,6 +27,7 @@ from foreglow.lab.learning.training import Teacher, TrainingResult, told_losses,
 from foreglow.lab.learning.training_progress import Epoch
 from foreglow.types import KINDS
 from tests.lab.learning.tiny_training import RECIPE, TinyNetwork, make_samples, make_tiny
+from tests.pipes import ENDLESS, soon
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]
 
@@ -309,6 +310,16 @@ def test_damaged_checkpoint(tmp_path: Path, keep: int) -> None:
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"):
         run(tmp_path, one)
+
+
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_a_pipe_is_no_checkpoint(tmp_path: Path, kind: str) -> None:
+    ENDLESS[kind](tmp_path / "checkpoint.pt")
+    with (
+        soon(),
+        pytest.raises(ValueError, match=r"checkpoint\.pt: expected a whole checkpoint, found it damaged; remove it"),
+    ):
+        run(tmp_path, changed(RECIPE, {"epochs": 1, "warmup_epochs": 0.0}))
 
 
 @pytest.mark.parametrize(

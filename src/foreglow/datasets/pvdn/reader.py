@@ -31,7 +31,7 @@ from foreglow.datasets.pvdn.splits import find_split
 from foreglow.datasets.simulated.vehicle import SimulatedVehicle
 from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import equip
-from foreglow.files import check_is_folder
+from foreglow.files import check_is_folder, checked_path
 from foreglow.types import Frame
 from foreglow.wording import shortened
 
@@ -112,8 +112,10 @@ class PVDN(LabelledSource):
             ValueError: If a label file is broken, they contradict each other, a selected scene does not exist, or there
                 are several splits.
         """
+        folder = checked_path(root, "root")
+        if not isinstance(select, Selection | None):
+            raise ValueError(f"select: expected a Selection or None, got {shortened(select)}")
         super().__init__(root, on_error)
-        folder = Path(root)
         check_is_folder(folder, "a PVDN split or sequence")
         self.root, self._directory = find_split(folder)
         self.labels: PVDNLabels = read_labels(self.root)
@@ -122,7 +124,7 @@ class PVDN(LabelledSource):
         above = self.root.resolve().parent.name
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
         self._vehicle = SimulatedVehicle(self.root)
-        self.frame_ids: tuple[int, ...] = tuple(self._selected(select or Selection()))
+        self.frame_ids: tuple[int, ...] = tuple(self._selected(Selection() if select is None else select))
 
     @property
     def name(self) -> str:

@@ -20,6 +20,7 @@ from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
 from foreglow.files import MIB, read_text
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
@@ -216,7 +217,7 @@ def _check_names(names: list[str], origin: str) -> None:
 
 
 def _check_dbc(text: str, origin: str) -> None:
-    """ValueError if a message of a DBC is too long, or its ranges are."""
+    """ValueError if a message of a DBC is too long, or its ranges are, or a signal is of a type that is none."""
     ends = [(int(size[:20]), "a message") for size in re.findall(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)", text)]
     ends += [
         ((int(start[:20]) + int(length[:20])) // 8, "a signal")
@@ -225,6 +226,10 @@ def _check_dbc(text: str, origin: str) -> None:
     longest = max(ends, default=(0, ""))
     if longest[0] > MAX_MESSAGE_BYTES:
         raise ValueError(f"{origin}: {longest[1]}: expected at most {MAX_MESSAGE_BYTES} bytes, got {longest[0]}")
+    for name, kind in re.findall(r"\bSIG_VALTYPE_\s+\d+\s+(\w+)\s*:?\s*(\d+)\s*;", text):
+        if kind not in ("0", "1", "2"):  # cantools takes others for integers
+            expected = "expected 0 (integer), 1 (float) or 2 (double)"
+            raise ValueError(f"{origin}: SIG_VALTYPE_: {name}: {expected}, got {shortened(int(kind[:20]))}")
     num_values = 0
     for ranges in re.findall(r"\bSG_MUL_VAL_\s([^;]*)", text):
         num_values += sum(

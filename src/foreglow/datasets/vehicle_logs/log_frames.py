@@ -41,6 +41,8 @@ _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
 _RELATIVE = re.compile(
     r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE
 )  # each time counts from the event before
+_BASE = re.compile(r"\s*base\s", re.IGNORECASE)
+_KNOWN_BASE = re.compile(r"\s*base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"^(\s*\d+),(?=\d+\s)")  # of a time
 _BINARY = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f]")  # in no encoding of text but UTF-16; DOS ends it with 0x1a
 _CANDUMP_LINE = re.compile(  # time, bus, identifier; a length, up to 8 bytes, or the flags of CAN FD and more
@@ -223,6 +225,10 @@ class _TextLog(io.TextIOWrapper):
         if _RELATIVE.match(self.line):
             self.is_told = True
             raise ValueError(f"{self._path}: line {self.number}: expected timestamps absolute, got relative ones")
+        if self._is_head and _BASE.match(self.line) and not _KNOWN_BASE.fullmatch(self.line):
+            self.is_told = True  # python-can takes it for hexadecimal and absolute
+            words = f"expected base hex or dec, timestamps absolute, got {shortened(self.line.strip())}"
+            raise ValueError(f"{self._path}: line {self.number}: {words}")
         if _BINARY.search(self.line):  # python-can passes over a line of .asc that it does not know
             self.is_told = True
             raise ValueError(f"{self._path}: line {self.number}: expected text, got {shortened(self.line.strip())}")

@@ -88,7 +88,7 @@ def check_begun(folder: Path, recipe: Mapping[str, Any]) -> None:
 
 
 def _whole_checkpoint(path: Path) -> Checkpoint | None:
-    if not path.is_file():
+    if not path.exists():
         return None
     with whole(path.parent):
         check_torch_file(path)

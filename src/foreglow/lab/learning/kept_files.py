@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from foreglow.files import MIB
+from foreglow.files import MIB, check_file
 
 END_BYTES = 64 << 10
 """Of the end of a PNG, which is where the checksum of all its pixels is."""
@@ -27,7 +27,9 @@ def image_state(path: Path) -> bytes:
 
     Raises:
         OSError: If it cannot be read.
+        ValueError: If it is no regular file.
     """
+    check_file(path)
     digest = hashlib.blake2b(digest_size=16)
     with path.open("rb") as file:
         state = os.fstat(file.fileno())
@@ -41,11 +43,13 @@ def image_state(path: Path) -> bytes:
 
 
 def checksum(path: Path) -> int:
-    """CRC-32 of a file.
+    """CRC-32 of a regular file.
 
     Raises:
-        OSError: If it cannot be read.
+        OSError: If there is no such file, or it cannot be read.
+        ValueError: If it is no regular file.
     """
+    check_file(path)
     found = 0
     with path.open("rb") as file:
         while piece := file.read(MIB):
@@ -64,9 +68,10 @@ def check_torch_file(path: Path) -> None:
     They are those of a zip file, as torch has written since version 1.6. Another file passes: it has none.
 
     Raises:
-        ValueError: If a part of it is not what was written.
-        OSError: If it cannot be read.
+        ValueError: If a part of it is not what was written, or it is no regular file.
+        OSError: If there is no such file, or it cannot be read.
     """
+    check_file(path)
     with path.open("rb") as file:
         if file.read(len(_ZIP)) != _ZIP:  # as torch tells the two apart
             return

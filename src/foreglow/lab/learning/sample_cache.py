@@ -21,6 +21,7 @@ import foreglow.proposals as proposals
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.simulated import shares_path
+from foreglow.files import MAX_JSON_BYTES, read_bytes, read_plain_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.kept_files import checksum, image_state
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
@@ -69,8 +70,8 @@ def cached_samples(
             (partial / _DONE).write_text(json.dumps(about, indent=2) + "\n")
         if _read(folder, digest) is None:  # or else another training has made the same meanwhile
             shutil.rmtree(folder, ignore_errors=True)
-            if folder.is_file():
-                folder.unlink()
+            if not folder.is_dir():
+                folder.unlink(missing_ok=True)
             partial.rename(folder)
         shutil.rmtree(partial, ignore_errors=True)
     except BaseException:
@@ -111,7 +112,8 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
         if (earlier := dataset.image(image_id).earlier) is not None:
             before = path.with_name(earlier.file_name)
             add(earlier.file_name, earlier.age_ms, image_state(before).hex() if before.is_file() else None)
-        digest.update((dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json").read_bytes())
+        keypoints = dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json"
+        digest.update(read_bytes(keypoints, MAX_JSON_BYTES))
     if config.by_light:
         for sequence in dataset.sequences:
             path = shares_path(dataset.root, sequence.id)
@@ -162,7 +164,7 @@ def _checksums(folder: Path) -> dict[str, int]:
 def _read(folder: Path, digest: str) -> Samples | None:
     """The samples in `folder` if they are as they were written, and have this digest."""
     try:
-        about = json.loads((folder / _DONE).read_text(encoding="utf-8"))
+        about = read_plain_json(folder / _DONE)
         if about["digest"] != digest or about["checksums"] != _checksums(folder):
             return None
         # Only the crops are memory-mapped; NumPy cannot map an empty array.

@@ -35,6 +35,7 @@ from foreglow.photometry import Headlamps, read_headlamps
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame
+from foreglow.types.arrays import check_kind
 from foreglow.wording import check_one_of
 
 MAX_TAIL_SHARE = 0.2
@@ -199,8 +200,9 @@ class Drive:
             headlamps: Our matrix headlamps; None for the built-in ones.
 
         Raises:
-            ValueError: If the quality is unknown.
+            ValueError: If the quality is unknown, or the scene is none.
         """
+        check_kind("scene", scene, Scene)
         self.scene = scene
         self.name = f"{scene.name}/{scene.seed}"
         self.rate_hz: float | None = scene.rate_hz

@@ -31,6 +31,7 @@ from foreglow.types import Frame, Image
 from foreglow.whole_files import RemadeWarning
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.learning.night_set import make_night_set
+from tests.pipes import ENDLESS, soon
 
 PAPER = ProposalConfig()
 
@@ -149,6 +150,15 @@ def test_damaged_frames_are_decoded_again(val: PVDN, tmp_path: Path, suffix: str
         again = stack_frames(val, (100, 101), tmp_path)
     assert again == stack
     np.testing.assert_array_equal(again.images()[0], val.read(100).image)
+
+
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_a_pipe_is_no_file_of_frames(val: PVDN, tmp_path: Path, kind: str) -> None:
+    stack = stack_frames(val, (100, 101), tmp_path)
+    stack.path.unlink()
+    ENDLESS[kind](stack.path)
+    with soon(), pytest.raises(ValueError, match=f"expected a file, is {kind}$"):
+        stack.images()
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_stu
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
+from tests.pipes import ENDLESS, soon
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]  # Optuna comes with the same extra
 
@@ -296,6 +297,23 @@ def test_a_file_that_is_no_journal_stays_as_it_is(tmp_path: Path, content: bytes
         open_study(StudyPlan(str(notes), "name", TuningSettings()))
     assert notes.read_bytes() == content
     assert list(tmp_path.iterdir()) == [notes]
+
+
+@pytest.mark.parametrize("storage", ["nosuch://me:se@cret@host/x", "nosuch://:se@cret@host:1/x?y=z"])
+def test_the_password_of_a_storage_is_not_shown(storage: str) -> None:
+    with pytest.raises(ValueError, match=r"^storage: nosuch://(me)?:\*\*\*@host") as refused:
+        open_study(StudyPlan(storage, "name", TuningSettings()))
+    assert "se@cret" not in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("storage", ["sqlite:///{}", "{}"])
+@pytest.mark.parametrize("kind", ENDLESS)
+def test_a_pipe_is_no_storage(tmp_path: Path, kind: str, storage: str) -> None:
+    ENDLESS[kind](tmp_path / "study")
+    plan = StudyPlan(storage.format(tmp_path / "study"), "name", TuningSettings())
+    with soon(), pytest.raises(ValueError, match=r"study: expected a file for a .*, got something else"):
+        open_study(plan)
 
 
 @pytest.mark.parametrize("content", [b"my only notes\n", None])

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.files import checked_path
 from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
@@ -149,6 +150,7 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
             to 1.
     """
     given = None if threshold is None else checked_share("threshold", threshold)
+    checked_path(split, "split")
     found = read_predictions(predictions)
     least = run_threshold(predictions) if given is None else given
     labels, found = compared_labels(Path(predictions), found, Path(split), open_labelled(split))

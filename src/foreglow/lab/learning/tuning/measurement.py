@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource
-from foreglow.files import read_plain_json
+from foreglow.files import check_file, file_digest, read_plain_json
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
@@ -46,6 +46,7 @@ class FrameStack:
 
     def images(self) -> list[Image]:
         """The frames, memory-mapped and read-only, in order."""
+        check_file(self.path)
         pixels = np.memmap(self.path, np.uint8, "r")
         images: list[Image] = []
         start = 0
@@ -107,8 +108,7 @@ def _decoded(pixels: Path, index: Path) -> FrameStack | None:
             rows * columns * np.dtype(name).itemsize
             for (rows, columns), name in zip(stack.shapes, stack.dtypes, strict=True)
         )
-        with pixels.open("rb") as file:
-            is_whole = pixels.stat().st_size == size and hashlib.file_digest(file, "sha256").hexdigest() == stack.digest
+        is_whole = pixels.stat().st_size == size and file_digest(pixels) == stack.digest
     except (FileNotFoundError, IsADirectoryError, ValueError, TypeError, LookupError):
         return None
     return stack if is_whole else None

@@ -7,6 +7,7 @@ import datetime
 import json
 import math
 import os
+import re
 import socket
 import sqlite3
 from collections.abc import Callable, Sequence
@@ -108,6 +109,11 @@ class StudyPlan:
     name: str
     settings: TuningSettings
 
+    @property
+    def shown_storage(self) -> str:
+        """The storage, for messages."""
+        return _without_password(self.storage, self.storage)
+
 
 def open_study(plan: StudyPlan) -> optuna.Study:
     """The study of `plan`, created if it does not exist.
@@ -135,7 +141,18 @@ def open_study(plan: StudyPlan) -> optuna.Study:
         if "://" not in plan.storage:  # a record with another field or number
             reason = first_line_of(error) or type(error).__name__
             raise ValueError(f"{plan.storage}: expected whole records of a search: {reason}; {_WAYS_OUT}") from error
-        raise ValueError(f"storage: {plan.storage}: {error}") from error
+        raise ValueError(_without_password(f"storage: {plan.storage}: {error}", plan.storage)) from None
+
+
+def _without_password(message: str, url: str) -> str:
+    """A message of one line about a storage, with `***` for the password in its URL.
+
+    >>> _without_password("sql://me:se@cret@host/x: no such host", "sql://me:se@cret@host/x")
+    'sql://me:***@host/x: no such host'
+    """
+    found = re.match(r"[^/]*://[^:/@]*:(.*)@", url)
+    hidden = message.replace(f":{found[1]}@", ":***@") if found and found[1] else message
+    return " ".join(hidden.split())
 
 
 class NoJournalError(ValueError):
@@ -191,6 +208,8 @@ def check_database(path: Path) -> None:
     """
     if not path.exists() or (path.is_file() and path.stat().st_size == 0):
         return
+    if not path.is_file():
+        raise NoJournalError(f"{path}: expected a file for a database of searches, got something else")
     try:
         with contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
             names = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
@@ -254,14 +273,14 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
     begun, seed = study.user_attrs.get(_SEED), plan.settings.seed
     if begun not in (None, seed):
         raise ValueError(
-            f"{plan.storage}: seed: expected that of the search begun here, {begun}, got {seed}; choose another folder "
-            "or storage"
+            f"{plan.shown_storage}: seed: expected that of the search begun here, {begun}, got {seed}; choose "
+            "another folder or storage"
         )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         if not _is_measured(trial, plan.settings.searched):
             raise ValueError(
-                f"{plan.storage}: trial {trial.number}: expected all its parameters and its measurement, a record is "
-                f"missing, wrong or in another place; {_WAYS_OUT}"
+                f"{plan.shown_storage}: trial {trial.number}: expected all its parameters and its measurement, a "
+                f"record is missing, wrong or in another place; {_WAYS_OUT}"
             )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not _is_alive(trial):

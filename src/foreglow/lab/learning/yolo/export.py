@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
+from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.proposals import Proposer, make_proposer
@@ -158,7 +159,7 @@ def _exported(
                     cv2.imencode(".png", squashed(frame.image, settings.size_px, frame.path))[1].tobytes(),
                 )
                 write_atomic(label_file, label_lines(boxes, frame.width_px, frame.height_px).encode())
-            num_boxes[name] += label_file.read_bytes().count(b"\n")
+            num_boxes[name] += read_bytes(label_file, MIB).count(b"\n")
             num_done += 1
             if progress is not None:
                 progress(num_done, num_images)

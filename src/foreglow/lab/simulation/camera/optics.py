@@ -20,6 +20,7 @@ from scipy.special import erf
 
 from foreglow.geometry import Camera, Floats
 from foreglow.lab.simulation.scenes.scene import SensorSpec
+from foreglow.wording import shortened
 
 Image = NDArray[np.float32]
 
@@ -73,7 +74,7 @@ class LampPoints:
                 shape if num == 0 else np.shape(getattr(self, name))
             )
             if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"LampPoints.{name}: expected finite numbers of shape {shape}, got {array!r}")
+                raise ValueError(f"LampPoints.{name}: expected finite numbers of shape {shape}, got {shortened(array)}")
             if name != "positions_px" and (array < 0).any():
                 raise ValueError(f"LampPoints.{name}: expected at least 0, got {array.min()}")
             array.flags.writeable = False

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_config
 from foreglow.datasets import SplitName, open_labelled, split_folder
-from foreglow.files import file_digest, read_plain_json
+from foreglow.files import MAX_JSON_BYTES, file_digest, read_bytes, read_plain_json
 from foreglow.lab.studies.progress import Progress
 
 if TYPE_CHECKING:
@@ -278,7 +278,7 @@ def split_digest(split: Path) -> str:
     digest = hashlib.sha256()
     dataset = open_labelled(split)
     for path in sorted((dataset.root / "labels").rglob("*.json")):
-        digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + path.read_bytes())
+        digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + read_bytes(path, MAX_JSON_BYTES))
     for image_id in dataset.frame_ids:
         path = dataset.image_path(image_id)
         digest.update(f"{path.relative_to(dataset.root)} {file_digest(path)}\n".encode())

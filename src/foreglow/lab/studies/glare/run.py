@@ -245,7 +245,7 @@ def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
     if plan.paper_model is not None:
         chain = paper_chain(plan.paper_model)
         assert chain.classifier.model is not None
-        parts.append(hashlib.sha256(chain.classifier.model.read_bytes()).hexdigest())
+        parts.append(file_digest(chain.classifier.model))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
