@@ -108,11 +108,11 @@ def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
 
 
 def source_notes(frames: FrameSource) -> list[str]:
-    """What is assumed of the frames, such as the rate of a video that does not say it."""
-    from foreglow.datasets import Equipped, Video
+    """What is assumed of the frames, such as the rate of a video that does not say it, or images that are missing."""
+    from foreglow.datasets import Equipped, ImageFolder, Video
 
     source = frames.source if isinstance(frames, Equipped) else frames
-    return [source.note] if isinstance(source, Video) and source.note else []
+    return [source.note] if isinstance(source, Video | ImageFolder) and source.note else []
 
 
 def folder_beside(source: Path) -> Path:
