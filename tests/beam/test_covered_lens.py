@@ -1,4 +1,4 @@
-"""A covered lens is known from the first image on, whatever noise whole rows and columns of its sensor have in common."""
+"""A covered lens is known from the first image on, whatever noise whole rows and columns have in common."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
 """Whether an image shows anything, whether it moves, and whether a part of it is noise or shows another part again.
 
 Rows are cut into pieces. Where a lens is covered, all pieces are about alike, at whatever level the camera has its
-black, or differ by noise that whole rows or columns have in common. Where a picture stands still, or is nothing but noise, its pieces change by noise alone: by a Gaussian, whose
-99.9th percentile is 4.9 times its median. What moves changes a few pieces by far more than the others. No noise,
-however strong or new, can feign these two measures. A link that has lost its bits, or a memory never written, gives
-noise far above that of any camera; one that is read twice gives the same half image twice.
+black, or differ by noise that whole rows or columns have in common. Where a picture stands still, or is nothing but
+noise, its pieces change by noise alone: by a Gaussian, whose 99.9th percentile is 4.9 times its median. What moves
+changes a few pieces by far more than the others. No noise, however strong or new, can feign these two measures. A link
+that has lost its bits, or a memory never written, gives noise far above that of any camera; one that is read twice
+gives the same half image twice.
 """
 
 from __future__ import annotations
