@@ -10,7 +10,7 @@ import numpy as np
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage
-from foreglow.beam.image_pieces import DARK, NEAR_TOP, ImagePieces, PieceMeasures, middle
+from foreglow.beam.image_pieces import DARK, MAX_NOISE_CONTRAST, NEAR_TOP, ImagePieces, PieceMeasures, middle
 from foreglow.beam.image_stripes import ImageStripes
 from foreglow.beam.known_images import KnownImages
 from foreglow.config import GuardConfig
@@ -33,10 +33,10 @@ CONTRAST_SHARE = 0.5
 Measured, in shares of the greatest value: a covered lens with noise of 3 grey levels .014; two real videos of motorways
 at least .15, the drive that ships .20, others that were simulated .11, and each at a quarter of the light .028."""
 
-NOISE_CONTRAST, MAX_NOISE_CONTRAST = 9.0, 0.07
-"""So it is if they differ by no more than so many times the noise of their means, and than the second number: pieces of
-nothing but noise are 4.8 times it apart, and those of moving images at least 17 times, also at a quarter of the light
-and under noise of 6 grey levels. From noise of 9 on an image is damaged."""
+NOISE_CONTRAST = 9.0
+"""So it is if they differ by no more than so many times the noise of their means, and than `MAX_NOISE_CONTRAST`:
+pieces of nothing but noise are 4.8 times it apart, and those of moving images at least 17 times, also at a quarter
+of the light and under noise of 6 grey levels. From noise of 9 on an image is damaged."""
 
 OWN_CONTRAST_SHARE = 0.4
 """As `CONTRAST_SHARE`, of what pieces do not have in common with their row or their column, and so is their noise:

@@ -67,6 +67,9 @@ MOST_IN_COMMON = 0.2
 """A contrast beyond this share of the greatest value is not one of noise that rows or columns have in common: of a
 standard deviation of 8 grey levels, far above a camera's, it is .15."""
 
+MAX_NOISE_CONTRAST = 0.07
+"""Noise of single pixels makes no greater contrast, in shares of the greatest value."""
+
 LEAST_ROWS = 6
 """With fewer rows or columns of pieces, next to nothing is left beside what they have in common."""
 
@@ -82,7 +85,8 @@ class PieceMeasures:
         own_contrast: The contrast of what is a piece's own, without the means of its row and of its column: noise that
             whole rows or columns have in common is gone then, what a lens shows is not. The whole contrast where
             that is more than `MOST_IN_COMMON`, or of fewer rows or columns than `LEAST_ROWS`.
-        own_noise: The noise of the same, by neighbours in a row or in a column, whichever differ more.
+        own_noise: The noise of the same, by neighbours in a row or in a column, whichever differ more; of a contrast
+            beyond `MAX_NOISE_CONTRAST`, `noise`.
         is_noise: Whether noise alone has changed since the image before, at least in the `middle` rows, of which the
             other two are.
         share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
@@ -134,7 +138,9 @@ class ImagePieces:
         if contrast <= MOST_IN_COMMON and min(means.shape) >= LEAST_ROWS:
             own = means - means.mean(axis=1, keepdims=True)
             own -= own.mean(axis=0)
-            own_contrast, own_noise = _contrast(own.ravel()), max(_noise(own), _noise(own.T))
+            own_contrast = _contrast(own.ravel())
+            if own_contrast <= MAX_NOISE_CONTRAST:
+                own_noise = max(_noise(own), _noise(own.T))
         return PieceMeasures(
             contrast=contrast,
             noise=noise,
