@@ -24,7 +24,7 @@ def covered(
     """Images of nothing but noise: of whole rows and columns, and of each pixel, in grey levels; all new each time."""
     rng = np.random.default_rng(5)
     height, width = shape
-    images = []
+    images: list[Image] = []
     for _ in range(NUM_IMAGES):
         rows = np.repeat(rng.normal(0.0, common, (-(-height // adjacent), 1)), adjacent, axis=0)[:height]
         noise = rows + rng.normal(0.0, columns * common, (1, width)) + rng.normal(0.0, own, shape)
@@ -66,19 +66,19 @@ def test_a_road_under_such_noise_is_none_also_at_half_its_light() -> None:
         assert not any(GuardFault.BLACK in found for found in faults_of(noisy))
 
 
-def measures_of(rows: NDArray[np.float64]) -> tuple[float, float]:
+def measures_of(rows: NDArray[np.uint8]) -> tuple[float, float]:
     measures = ImagePieces().update(rows, 255)
     return measures.own_contrast, measures.contrast
 
 
 def test_what_a_piece_has_of_its_own() -> None:
     rng = np.random.default_rng(2)
-    common = 60.0 + rng.normal(0.0, 3.0, (28, 1)) + np.repeat(rng.normal(0.0, 3.0, (1, 40)), 16, axis=1)
+    common = (60 + rng.integers(0, 12, (28, 1)) + rng.integers(0, 12, (1, 640))).astype(np.uint8)
     own, whole = measures_of(common)
     assert own == pytest.approx(0.0, abs=1e-9)
     assert whole > 0.03
     lit = common.copy()
-    lit[10:14, 160:480] += 20.0
+    lit[10:14, 160:480] += 20
     assert measures_of(lit)[0] > 0.05
     few = common[:5]
     assert measures_of(few)[0] == measures_of(few)[1]
