@@ -335,6 +335,17 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
         assert (told in result.stdout) == is_told
 
 
+def test_images_that_are_missing_are_told(tmp_path: Path, folder: Path, config: Path) -> None:
+    images = sorted(folder.iterdir())
+    drive = tmp_path / "numbered"
+    drive.mkdir()
+    for number, image in zip((1, 2, 4, 5, 6, 7), images * 6, strict=False):
+        shutil.copyfile(image, drive / f"{number:04}{image.suffix}")
+    result = foreglow_command("run", drive, "--config", config, "--preset", "paper", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert f"{drive}: 1 image is missing by the numbers of the others, first between 2 and 4" in result.stdout
+
+
 def test_a_raw_stream_says_its_rate(tmp_path: Path, config: Path) -> None:
     path = make_video(tmp_path / "drive.h264", codec="libx264", num_frames=4, rate_hz=50)
     for command in (("run", path), ("run", path, "--jobs", "2"), ("demo", path)):

@@ -48,6 +48,27 @@ def test_a_folder_in_natural_order(folder: Path) -> None:
     assert [frame.timestamp_ns for frame in ImageFolder(folder, rate_hz=10)] == [0, 100_000_000, 200_000_000]
 
 
+@pytest.mark.parametrize("name", ["{:04}.png", "frame_{}.png"])
+def test_images_that_are_missing_by_their_numbers_take_their_time(tmp_path: Path, name: str) -> None:
+    for number in (8, 9, 11, 12, 13, 16, 17, 18, 19, 20, 21):
+        cv2.imwrite(str(tmp_path / name.format(number)), _image(number))
+    source = ImageFolder(tmp_path, rate_hz=10)
+    assert [frame.timestamp_ns // 100_000_000 + 8 for frame in source] == [frame.frame for frame in source]
+    assert source.notes == [
+        f"{tmp_path}: 3 images are missing by the numbers of the others, first between 9 and 11; times go on as if "
+        "they were there"
+    ]
+
+
+@pytest.mark.parametrize("numbers", [(0, 2, 4, 6), (3, 57, 120, 121), (0, 1, 2, 3, 10), (1, 3, 5, 6, 8)])
+def test_of_images_that_were_chosen_none_are_missing(tmp_path: Path, numbers: tuple[int, ...]) -> None:
+    for number in numbers:
+        cv2.imwrite(str(tmp_path / f"{number}.png"), _image(number))
+    source = ImageFolder(tmp_path, rate_hz=10)
+    assert [frame.timestamp_ns // 100_000_000 for frame in source] == list(range(len(numbers)))
+    assert not source.notes
+
+
 def test_one_bad_image_stops_or_is_skipped(folder: Path) -> None:
     (folder / "f2.png").write_bytes((folder / "f2.png").read_bytes()[:-40])
     with pytest.raises(ValueError, match=r"f2\.png: truncated PNG"):

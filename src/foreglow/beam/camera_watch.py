@@ -10,7 +10,7 @@ import numpy as np
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
 from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage
-from foreglow.beam.image_pieces import DARK, NEAR_TOP, ImagePieces, middle
+from foreglow.beam.image_pieces import DARK, MAX_NOISE_CONTRAST, NEAR_TOP, ImagePieces, PieceMeasures, middle
 from foreglow.beam.image_stripes import ImageStripes
 from foreglow.beam.known_images import KnownImages
 from foreglow.config import GuardConfig
@@ -33,10 +33,17 @@ CONTRAST_SHARE = 0.5
 Measured, in shares of the greatest value: a covered lens with noise of 3 grey levels .014; two real videos of motorways
 at least .15, the drive that ships .20, others that were simulated .11, and each at a quarter of the light .028."""
 
-NOISE_CONTRAST, MAX_NOISE_CONTRAST = 9.0, 0.07
-"""So it is if they differ by no more than so many times the noise of their means, and than the second number: pieces of
-nothing but noise are 4.8 times it apart, and those of moving images at least 17 times, also at a quarter of the light
-and under noise of 6 grey levels. From noise of 9 on an image is damaged."""
+NOISE_CONTRAST = 9.0
+"""So it is if they differ by no more than so many times the noise of their means, and than `MAX_NOISE_CONTRAST`:
+pieces of nothing but noise are 4.8 times it apart, and those of moving images at least 17 times, also at a quarter
+of the light and under noise of 6 grey levels. From noise of 9 on an image is damaged."""
+
+OWN_CONTRAST_SHARE = 0.4
+"""As `CONTRAST_SHARE`, of what pieces do not have in common with their row or their column, and so is their noise:
+sensors have noise of whole rows and columns, by which the pieces of a covered lens differ as those of a scene may.
+Measured, in shares of the greatest value: a covered lens under noise of rows and columns of 3 grey levels .014, behind
+encoders up to .030; real videos at least .10, simulated images .08, and each at a quarter of the light .020. Of the
+noise, covered lenses at most 5.5 times it, and moving images at least 15 times."""
 
 STILL_SHARE = 0.4
 """An image is still if its strongest change is less than this share of the least of the recent ones. Measured on moving
@@ -123,9 +130,7 @@ class CameraWatch:
         greatest = white or int(np.iinfo(image.dtype).max)
         is_black = brightest <= self._config.min_bright * greatest
         is_black |= not white and image.dtype == np.uint16 and self._brightest <= MOST_OF_12_BITS
-        least = CONTRAST_SHARE * self._config.min_bright
-        by_noise = min(NOISE_CONTRAST * pieces.noise, MAX_NOISE_CONTRAST)
-        is_black |= not is_saturated and pieces.contrast <= max(least, by_noise)
+        is_black |= not is_saturated and self._shows_nothing(pieces)
         change = self._comparer.compare(image, greatest)
         stripes = self._stripes.update(image, greatest)
         known = self._known_images.update(rows)
@@ -153,6 +158,16 @@ class CameraWatch:
         if is_black:
             faults.append(GuardFault.BLACK)
         return faults
+
+    def _shows_nothing(self, pieces: PieceMeasures) -> bool:
+        """Whether pieces differ by no more than noise makes them, be it their own or that of whole rows or columns."""
+        return any(
+            contrast <= max(share * self._config.min_bright, min(NOISE_CONTRAST * noise, MAX_NOISE_CONTRAST))
+            for share, contrast, noise in (
+                (CONTRAST_SHARE, pieces.contrast, pieces.noise),
+                (OWN_CONTRAST_SHARE, pieces.own_contrast, pieces.own_noise),
+            )
+        )
 
     def _tick(self, timestamp_ns: int) -> None:
         """Moves our own clock on: by no more than is seen between two images, and never back."""

@@ -1,10 +1,11 @@
 """Whether an image shows anything, whether it moves, and whether a part of it is noise or shows another part again.
 
 Rows are cut into pieces. Where a lens is covered, all pieces are about alike, at whatever level the camera has its
-black. Where a picture stands still, or is nothing but noise, its pieces change by noise alone: by a Gaussian, whose
-99.9th percentile is 4.9 times its median. What moves changes a few pieces by far more than the others. No noise,
-however strong or new, can feign these two measures. A link that has lost its bits, or a memory never written, gives
-noise far above that of any camera; one that is read twice gives the same half image twice.
+black, or differ by noise that whole rows or columns have in common. Where a picture stands still, or is nothing but
+noise, its pieces change by noise alone: by a Gaussian, whose 99.9th percentile is 4.9 times its median. What moves
+changes a few pieces by far more than the others. No noise, however strong or new, can feign these two measures. A link
+that has lost its bits, or a memory never written, gives noise far above that of any camera; one that is read twice
+gives the same half image twice.
 """
 
 from __future__ import annotations
@@ -62,6 +63,17 @@ TWICE_CONTRAST = 0.1
 filters of a sensor may make a pattern without noise."""
 
 
+MOST_IN_COMMON = 0.2
+"""A contrast beyond this share of the greatest value is not one of noise that rows or columns have in common: of a
+standard deviation of 8 grey levels, far above a camera's, it is .15."""
+
+MAX_NOISE_CONTRAST = 0.07
+"""Noise of single pixels makes no greater contrast, in shares of the greatest value."""
+
+LEAST_ROWS = 6
+"""With fewer rows or columns of pieces, next to nothing is left beside what they have in common."""
+
+
 @dataclass(frozen=True, slots=True)
 class PieceMeasures:
     """What the pieces of an image say.
@@ -70,6 +82,11 @@ class PieceMeasures:
         contrast: The difference of the brightest and the darkest piece, in shares of the greatest value, but for one in
             a hundred at either end (`SPOT_SHARE`).
         noise: Standard deviation of the noise of a piece's mean, by how much neighbouring pieces differ in the median.
+        own_contrast: The contrast of what is a piece's own, without the means of its row and of its column: noise that
+            whole rows or columns have in common is gone then, what a lens shows is not. The whole contrast where
+            that is more than `MOST_IN_COMMON`, or of fewer rows or columns than `LEAST_ROWS`.
+        own_noise: The noise of the same, by neighbours in a row or in a column, whichever differ more; of a contrast
+            beyond `MAX_NOISE_CONTRAST`, `noise`.
         is_noise: Whether noise alone has changed since the image before, at least in the `middle` rows, of which the
             other two are.
         share_rough: Share of the pieces whose neighbouring pixels differ as those of noise far above a camera's.
@@ -80,6 +97,8 @@ class PieceMeasures:
 
     contrast: float
     noise: float
+    own_contrast: float
+    own_noise: float
     is_noise: bool
     share_rough: float
     share_wild: float
@@ -114,9 +133,19 @@ class ImagePieces:
         )
         means = means[inner]
         share_rough, share_wild, share_filled = _shares_of_steps(rows, top)
+        contrast, noise = _contrast(means.ravel()), _noise(means)
+        own_contrast, own_noise = contrast, noise
+        if contrast <= MOST_IN_COMMON and min(means.shape) >= LEAST_ROWS:
+            own = means - means.mean(axis=1, keepdims=True)
+            own -= own.mean(axis=0)
+            own_contrast = _contrast(own.ravel())
+            if own_contrast <= MAX_NOISE_CONTRAST:
+                own_noise = max(_noise(own), _noise(own.T))
         return PieceMeasures(
-            contrast=_contrast(means.ravel()),
-            noise=_noise(means),
+            contrast=contrast,
+            noise=noise,
+            own_contrast=own_contrast,
+            own_noise=own_noise,
             is_noise=is_noise,
             share_rough=share_rough,
             share_wild=share_wild,

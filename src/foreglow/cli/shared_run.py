@@ -108,11 +108,13 @@ def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
 
 
 def source_notes(frames: FrameSource) -> list[str]:
-    """What is assumed of the frames, such as the rate of a video that does not say it, or not read."""
+    """What is assumed of the frames, such as the rate of a video that does not say it, and what is not read."""
     from foreglow.datasets import Equipped, ImageFolder, Video
 
     source = frames.source if isinstance(frames, Equipped) else frames
-    return [source.note] if isinstance(source, ImageFolder | Video) and source.note else []
+    if isinstance(source, ImageFolder):
+        return source.notes
+    return [source.note] if isinstance(source, Video) and source.note else []
 
 
 def folder_beside(source: Path) -> Path:

@@ -8,7 +8,8 @@ import functools
 import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path, PurePosixPath
 
@@ -44,6 +45,10 @@ DEFAULT_RATE_HZ = 18.0
 
 MAX_STEP = timedelta(seconds=2)
 """Photographs that were taken further apart are no drive; cameras give the time to the second."""
+
+USUAL_STEP_SHARE = 0.75
+"""Images are missing from a folder only where so many of its numbers follow the one before by the same step: of images
+that were chosen here and there nobody knows the times."""
 
 _EXIF_TIME = re.compile(rb"(\d{4}:\d\d:\d\d \d\d:\d\d:\d\d)\0")
 _EXIF_BYTES = 1 << 17  # Exif data are among the first segments of a JPEG, and have less than 64 KiB
@@ -115,12 +120,34 @@ def frame_numbers(folder: Path) -> dict[str, int]:
     return dict(zip(names, known if is_numbered else range(len(names)), strict=True))
 
 
+def steps_with_gaps(numbers: Sequence[int]) -> list[int]:
+    """How many steps each image comes after the first, where some are missing between them; else its place.
+
+    A step is the usual difference of two numbers that follow each other. That images are missing is taken as known
+    where most have this step (`USUAL_STEP_SHARE`), the others a multiple of it, and fewer are missing than there are.
+
+    >>> steps_with_gaps([8, 9, 11, 12, 13, 14])
+    [0, 1, 3, 4, 5, 6]
+    >>> steps_with_gaps([10, 12, 14, 16]), steps_with_gaps([3, 57, 120])
+    ([0, 1, 2, 3], [0, 1, 2])
+    """
+    places = list(range(len(numbers)))
+    differences = [later - before for before, later in itertools.pairwise(numbers)]
+    if not differences:
+        return places
+    step, num_usual = Counter(differences).most_common(1)[0]
+    is_so = num_usual >= USUAL_STEP_SHARE * len(differences) and not any(each % step for each in differences)
+    steps = [(number - numbers[0]) // step for number in numbers] if is_so else places
+    return steps if steps[-1] < 2 * len(numbers) else places
+
+
 class ImageFolder(FileSource):
     """One image, or the images directly inside a folder in natural order of their names.
 
     An image `000012_earlier.png` beside `000012.png`, as data sets of single images have it, is no frame of its own.
     Frames are numbered as `frame_numbers` says; a skipped image keeps its number. As image files carry no time, the
-    timestamp is the place in that order divided by `rate_hz`. The images are one drive and have no sequence, unless
+    timestamp is the place in that order divided by `rate_hz`, in which an image that is missing by the numbers has a
+    place as well, as `steps_with_gaps` says. The images are one drive and have no sequence, unless
     they are photographs: an image of another size than the one before, or that was taken more than `MAX_STEP` from it
     by their Exif data, begins a new sequence, which has the name of its file.
 
@@ -161,15 +188,19 @@ class ImageFolder(FileSource):
             self._numbers = list(frame_numbers(self.path).values())
             if self._others and on_error == "stop":
                 raise ValueError(self._others[0])
+        self._steps = steps_with_gaps(self._numbers)
 
     @property
-    def note(self) -> str:
-        """What is not read, as a line for people: images in folders below; empty if there are none."""
-        if not self.path.is_dir():
-            return ""
-        names = [folder.name for folder in sorted(self.path.iterdir()) if folder.is_dir() and _has_images(folder)]
-        listed = ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])
-        return f"{self.path}: images in folders below it are not read: {listed}; run each by itself" if names else ""
+    def notes(self) -> list[str]:
+        """Lines for people, if need be: which images are missing by their numbers, and folders below with images."""
+        lines = [_missing(self.path, self._numbers, self._steps)]
+        if self.path.is_dir():
+            names = [folder.name for folder in sorted(self.path.iterdir()) if folder.is_dir() and _has_images(folder)]
+            listed = ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])
+            lines += [f"{self.path}: images in folders below it are not read: {listed}; run each by itself"] * bool(
+                names
+            )
+        return [line for line in lines if line]
 
     @property
     def name(self) -> str:
@@ -190,9 +221,21 @@ class ImageFolder(FileSource):
         return _in_sequences(self._read_each(reads))
 
     def _frame(self, index: int) -> Frame:
-        path, timestamp_ns = self._files[index], round(index * 1e9 / self.rate_hz)
+        path, timestamp_ns = self._files[index], round(self._steps[index] * 1e9 / self.rate_hz)
         image, chroma = read_coloured_image(path)
         return Frame(image, timestamp_ns, self._numbers[index], path=str(path), red_chroma=chroma)
+
+
+def _missing(path: Path, numbers: Sequence[int], steps: Sequence[int]) -> str:
+    num_missing = steps[-1] + 1 - len(steps)
+    if not num_missing:
+        return ""
+    first = next(place for place, step in enumerate(steps) if step > place)
+    are = "image is" if num_missing == 1 else "images are"
+    return (
+        f"{path}: {num_missing} {are} missing by the numbers of the others, first between {numbers[first - 1]} and "
+        f"{numbers[first]}; times go on as if they were there"
+    )
 
 
 def _in_sequences(frames: Iterable[Frame]) -> Iterator[Frame]:

@@ -18,6 +18,7 @@ from foreglow.datasets.bags.pairs import TimeShift, pairs
 from foreglow.datasets.bags.pixels import Pixels, grey_image
 from foreglow.datasets.bags.ros1_bag import Ros1Bag
 from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
+from foreglow.datasets.file_state import FileStates
 from foreglow.datasets.images import decode_image
 from foreglow.datasets.json_files import parse_json
 from foreglow.datasets.source import FileSource, OnError
@@ -159,8 +160,8 @@ class Recording(FileSource):
     own recordings carry the same as when they were recorded: number, sequence, time, camera, motion and road; an image
     without these, or with those of another time, is damage. Other recordings give neither camera nor motion: a
     CameraInfo does not say where the camera is mounted in the vehicle. A damaged message or chunk, or a missing end is
-    an error; with `skip`, damaged parts are left out. A recording whose name says that it is incomplete
-    (`PARTIAL_SUFFIXES`) is read up to its last whole chunk.
+    an error, and so is a file that changes after it was opened; with `skip`, damaged parts are left out. A recording
+    whose name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk, and may grow.
 
     Attributes:
         path: File or folder.
@@ -185,8 +186,9 @@ class Recording(FileSource):
         super().__init__(path, on_error)
         self.path = Path(path)
         self._container = _opened(self.path)
+        self._states = FileStates(_files_of(self.path))
         if self._container.truncation and on_error == "stop":
-            raise ValueError(f"{self._container.truncation}; --on-error skip reads what is there")
+            self._lose_part(self._container.truncation)
         found = self._found(topic)
         self.topic, self._decode = found.name, DECODERS[found.type, found.encoding]
         self.num_frames = self._container.count(self.topic)
@@ -215,12 +217,18 @@ class Recording(FileSource):
                     raise ValueError(f"expected an image at the time of {FRAME_TYPE}, {record.log_time_ns} ns")
             except ValueError as error:
                 self._refuse(f"{self.path}: {self.topic}: frame {index}: {error}")
+        if change := self._states.change():
+            self._lose(change)
 
     def _read(self) -> Iterator[Message]:
         """The images and what our own recordings have beside them."""
-        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose):
+        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose_part):
             if self.topic == message.topic.name or message.topic.type == FRAME_TYPE:
                 yield message
+
+    def _lose_part(self, message: str) -> None:
+        """As `_lose`, of a part of the container; an error says how to read the rest."""
+        self._lose(f"{message}; --on-error skip reads what is there" if self._on_error == "stop" else message)
 
     def _frame(self, image: Message, record: Message | None, index: int, shift: TimeShift | None) -> Frame:
         """The frame of an image; `shift` checks times where images have a record, None where they have none."""
@@ -238,7 +246,7 @@ class Recording(FileSource):
     def _found(self, name: str | None) -> Topic:
         """The topic called `name`, or the first with images; without any, the error lists the topics."""
         topics: dict[str, Topic] = {}
-        for message in self._container.messages(None, self._refuse):
+        for message in self._container.messages(None, self._lose_part):
             topic = topics.setdefault(message.topic.name, message.topic)
             check_num_topics(topics)
             if name in (None, topic.name) and (topic.type, topic.encoding) in DECODERS:
@@ -253,7 +261,7 @@ class Recording(FileSource):
 
     def _rate_hz(self) -> float | None:
         times_ns = []
-        for message in itertools.islice(self._container.messages({self.topic}, self._refuse), NUM_TIMED):
+        for message in itertools.islice(self._container.messages({self.topic}, self._lose_part), NUM_TIMED):
             try:
                 times_ns.append(_time_ns(self._decode(message.data), message))
             except ValueError:
@@ -277,6 +285,12 @@ def _opened(path: Path) -> Container:
     if ending not in CONTAINERS:
         raise ValueError(f"{path}: expected a recording that ends in {', '.join(CONTAINERS)}")
     return CONTAINERS[ending](path)
+
+
+def _files_of(path: Path) -> list[Path]:
+    """The files that hold what is read, and may not change meanwhile; none of one that is still being written."""
+    files = [path] if path.is_file() else [each for each in path.iterdir() if _ending(each) in CONTAINERS]
+    return [each for each in files if not is_partial(each)]
 
 
 def _ending(path: Path) -> str:

@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from foreglow.datasets.file_state import FileStates
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.datasets.video.containers.ends import hole, missing_bytes
@@ -61,8 +62,8 @@ class Video(FileSource):
     that were appended to each other, so does a sequence, which is named after its first frame.
     A cut file is an error, and so is one with damage between its parts, so that frames may be missing and those behind
     have too small numbers, one with a second film behind the first (see `containers.ends`), and a Matroska file that
-    ends before its stated time. So are frames that are `damaged` (see `decoding`): with `skip` they are left out, with
-    `mark` they are marked.
+    ends before its stated time. So is a file that changes after it was opened, as is found at its end. So are frames
+    that are `damaged` (see `decoding`): with `skip` they are left out, with `mark` they are marked.
 
     Attributes:
         path: The file.
@@ -86,8 +87,10 @@ class Video(FileSource):
         check_file(self.path)
         if self.path.stat().st_size == 0:
             raise ValueError(f"{self.path}: expected a video, the file is empty")
+        self._states = FileStates([self.path])
         missing = missing_bytes(self.path)
-        self._truncation = f"{self.path}: truncated video, {missing} bytes are missing at the end" if missing else ""
+        cut = f"{self.path}: truncated video, {missing} bytes are missing at the end, or a size that it states is wrong"
+        self._truncation = cut if missing else ""
         with self._opened() as (container, stream):
             self._is_raw = container.format.name in RAW_STREAMS
             stated: Fraction | None = stream.codec_context.framerate if self._is_raw else None
@@ -130,7 +133,7 @@ class Video(FileSource):
         """All frames, up to where the container cannot be read."""
         from av.error import FFmpegError
 
-        index, latest, sequence, reached_ns, has_begun = -1, (0, 0), "", 0, False
+        index, latest, sequence, reached_ns, has_begun, failure = -1, (0, 0), "", 0, False, ""
         try:
             with self._opened() as (container, stream):
                 whole = _Whole(container, self._hole.film if self._hole else None)
@@ -165,8 +168,12 @@ class Video(FileSource):
                     has_begun = True
                     yield dataclasses.replace(frame, sequence=sequence)
         except FFmpegError as error:
-            self._lose(f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}")
-        self._check_end(reached_ns, index + 1)
+            failure = f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}"
+        change = self._states.change()
+        if change or failure:
+            self._lose(change or failure)
+        if not change:
+            self._check_end(reached_ns, index + 1)
         if self.skipped:
             return
         if index < 0:
