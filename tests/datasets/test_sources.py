@@ -314,7 +314,7 @@ def test_a_video_without_a_name_of_its_own_is_no_image(tmp_path: Path) -> None:
 def test_what_is_no_path_is_refused(path: Any) -> None:
     """An empty text stood for the working directory."""
     for opened in (open_source, open_labelled):
-        with pytest.raises(ValueError, match="path: expected that of a file or folder, got"):
+        with pytest.raises(ValueError, match="path: expected the path of a file or folder, got"):
             opened(path)
 
 

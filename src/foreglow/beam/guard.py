@@ -36,7 +36,6 @@ from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import MIN_STEP_S, BeamCommand, BeamMode, Frame, Tracks
 from foreglow.types.arrays import check_kind
-from foreglow.wording import shortened
 
 
 class Guard:
@@ -196,9 +195,9 @@ def _check_kinds(
         if value is not None:
             check_kind(name, value, kind)
     if not isinstance(time_ns, int | np.integer | None) or isinstance(time_ns, bool):
-        raise ValueError(f"time_ns: expected nanoseconds as a whole number, got {shortened(time_ns)}")
+        raise ValueError(f"time_ns: expected nanoseconds as a whole number, got {type(time_ns).__name__}")
     if isinstance(pipeline_faults, str) or not all(isinstance(name, str) for name in pipeline_faults):  # type: ignore[attr-defined]
-        raise ValueError(f"pipeline_faults: expected the names of faults, got {shortened(pipeline_faults)}")
+        raise ValueError(f"pipeline_faults: expected the names of faults, got {pipeline_faults!r:.80}")
 
 
 def _speed_mps(frame: Frame) -> float:
