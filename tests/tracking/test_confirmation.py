@@ -129,7 +129,7 @@ class TestEvidence:
 
     def test_a_second_track_takes_nothing_back(self) -> None:
         rule = CONFIRMATIONS["evidence"](self.config())
-        observed = Observations(np.array([0.5]), np.array([9]), np.array([0.5]), np.array([True]), 0.05)
+        observed = Observations(np.array([0.5]), np.array([9]), np.array([0.5]), np.array([True]), np.array([0.05]))
         assert rule.update(np.array([[3.5]]), observed)[1].tolist() == [True]
 
     def test_no_score_is_certain(self) -> None:
@@ -156,14 +156,13 @@ def test_tracks_do_not_know_of_each_other(rule: str) -> None:
         rng.integers(1, 9, 6),
         rng.random(6),
         rng.random(6) < 0.5,
-        0.5,
+        4 * rng.random(6),
     )
     together = made.update(memory, observed)
     for track in range(6):
         row = slice(track, track + 1)
-        alone = Observations(
-            observed.scores[row], observed.num_hits[row], observed.confidences[row], observed.was_plausible[row], 0.5
-        )
+        names = ("scores", "num_hits", "confidences", "was_plausible", "since_others_s")
+        alone = Observations(**{name: getattr(observed, name)[row] for name in names})
         own_memory, own_plausible = made.update(memory[row], alone)
         np.testing.assert_array_equal(own_memory[0], together[0][track])
         assert own_plausible[0] == together[1][track]
@@ -173,7 +172,7 @@ def test_tracks_do_not_know_of_each_other(rule: str) -> None:
 def test_no_tracks(rule: str) -> None:
     made = CONFIRMATIONS[rule](TrackerConfig.model_validate({"confirmation": rule}))
     none = np.zeros(0)
-    observed = Observations(none, none.astype(np.int64), none, none.astype(np.bool_), inf)
+    observed = Observations(none, none.astype(np.int64), none, none.astype(np.bool_), none)
     memory, plausible = made.update(np.zeros((0, made.memory_size)), observed)
     assert memory.shape == (0, made.memory_size)
     assert plausible.shape == (0,)
