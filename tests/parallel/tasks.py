@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+
 from foreglow.parallel import Parent
 
 PATIENCE_S = 120.0
@@ -24,6 +26,10 @@ def wait_until(is_so: Callable[[], bool]) -> None:
 def square(item: int, parent: Parent) -> int:
     parent.report_progress("squared", item)
     return item * item
+
+
+def threads_of_opencv(_item: object, _parent: Parent) -> int:
+    return cv2.getNumThreads()
 
 
 def process_of(item: float, parent: Parent) -> int:  # noqa: ARG001

@@ -59,6 +59,11 @@ def test_one_job_or_one_item_stays_in_this_process() -> None:
     assert dict(Local(2).each(tasks.process_of, {}, nobody)) == {}
 
 
+def test_a_process_has_one_thread_of_opencv() -> None:
+    """With one for each core in as many processes, cores would only change between them."""
+    assert dict(Local(2).each(tasks.threads_of_opencv, {"a": 0, "b": 0}, nobody)) == {"a": 1, "b": 1}
+
+
 def test_processes_are_used_again() -> None:
     items = {str(number): 0.1 for number in range(6)}
     pids = set(dict(Local(2).each(tasks.process_of, items, nobody)).values())

@@ -27,7 +27,12 @@ from foreglow.plugins import traced
 SAFE_PATH = {"PYTHONSAFEPATH": "1"}
 """Environment of a Python that does not look into the working folder first: a `json.py` there is no standard module."""
 
-ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **SAFE_PATH}
+ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OPENCV_FOR_THREADS_NUM": "1",
+    **SAFE_PATH,
+}
 """Environment of the processes: with one process per core, several threads in each only slow each other down. They
 begin without the working folder, and get the first process's `sys.path`, which may have it."""
 
