@@ -25,10 +25,11 @@ def in_packets_of(data: bytes, length: int, offset: int) -> bytes:
 
 
 def made_packets(counters: list[int], *, seed: int = 0) -> bytearray:
-    """Packets of the stream with these counters, with any bytes but 0x47 in them."""
+    """Packets of the stream with these counters, with any bytes but 0x47 in them; the last is filled up."""
     data = np.random.default_rng(seed).integers(0x48, 0x100, (len(counters), 188), np.uint8)
     for packet, counter in zip(data, counters, strict=True):
         packet[:4] = 0x47, PID >> 8, PID & 0xFF, 0x10 | counter & 0xF
+    data[-1, 3:6] = 0x30 | counters[-1] & 0xF, 1, 0
     return bytearray(data.tobytes())
 
 
@@ -83,6 +84,19 @@ def test_only_the_end_of_the_first_of_two_recordings_is_marked(tmp_path: Path, c
     frames = list(Video(path, on_error="mark"))
     assert [frame.is_damaged for frame in frames if frame.sequence] == [False] * 50
     assert not any(frame.is_damaged for frame in frames[:46])
+
+
+@pytest.mark.parametrize("codec", ["mpeg2video", "mpeg4", "libx264", "libx265"])
+def test_the_last_frame_of_a_stream_that_was_cut_between_packets_is_marked(tmp_path: Path, codec: str) -> None:
+    path = tmp_path / "night.ts"
+    data = make_stream(path, num_frames=40, codec=codec)
+    assert not any(frame.is_damaged for frame in Video(path))
+    starts = frame_starts(data)
+    path.write_bytes(data[: (starts[34] + starts[35]) // 2 * 188])
+    video = Video(path, on_error="mark")
+    is_damaged = [frame.is_damaged for frame in video]
+    assert any(is_damaged[-5:]) or video.skipped  # frames may come in another order than they are coded
+    assert not any(is_damaged[:-5])
 
 
 def test_a_key_frame_right_behind_a_loss_ends_it(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ PACKET_BYTES = 188
 PACKETS = ((188, 0), (192, 4), (204, 0))
 """Sizes of a transport stream's packets and where 0x47 stands in them. Source: ISO/IEC 13818-1; BDAV (M2TS); DVB."""
 
+_FILLED = 0x20  # of the fourth byte: there is an adaptation field, which is what fills packets up
 _PIECE = 1 << 20  # bytes read at a time
 _NUM_SYNCS = 4  # so many packets in a row begin with 0x47 where packets begin again
 _LAYOUT_BYTES = 1 << 16  # of the beginning, by which the packets' size is known
@@ -35,9 +36,10 @@ class Losses(Protocol):
 class TransportLosses:
     """Where one stream of a file has lost something; reads the file once, in pieces, as far as it is asked for.
 
-    A loss is a packet whose counter does not follow the one before, a packet that the receiver marked as wrong, and
-    whatever is no packet. A packet may be there twice, and the counter may begin anew where a packet says so
-    (`discontinuity_indicator`). Losses of 16 packets, or multiples, leave no trace in the counter.
+    A loss is a packet whose counter does not follow the one before, a packet that the receiver marked as wrong, whatever
+    is no packet, and what would come after the last packet if that is full: the last packet of a frame is filled up, so
+    that by chance one whole frame in 184 counts as cut. A packet may be there twice, and the counter may begin anew
+    where a packet says so (`discontinuity_indicator`). Losses of 16 packets, or multiples, leave no trace in it.
     """
 
     def __init__(self, path: Path, pid: int) -> None:
@@ -95,6 +97,8 @@ class TransportLosses:
             self._lose(base + end, base + position)
             break
         self._end = self._size if is_last else base + position
+        if is_last and self._last is not None and not self._last[3] & _FILLED:
+            self._lose(self._last_start, self._size + self._length)
 
     def _count(self, packets: NDArray[np.uint8], start: int) -> None:
         """Follows the counter of the stream's packets among `packets`, (N, size), which begin at byte `start`."""
