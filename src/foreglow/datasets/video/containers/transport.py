@@ -36,8 +36,8 @@ class Losses(Protocol):
 class TransportLosses:
     """Where one stream of a file has lost something; reads the file once, in pieces, as far as it is asked for.
 
-    A loss is a packet whose counter does not follow the one before, a packet that the receiver marked as wrong, whatever
-    is no packet, and what would come after the last packet if that is full: the last packet of a frame is filled up, so
+    A loss is a packet whose counter does not follow the one before, a packet that the receiver marked as wrong, what is
+    no packet, and what would come after the last packet if that is full: the last packet of a frame is filled up, so
     that by chance one whole frame in 184 counts as cut. A packet may be there twice, and the counter may begin anew
     where a packet says so (`discontinuity_indicator`). Losses of 16 packets, or multiples, leave no trace in it.
     """
