@@ -14,7 +14,8 @@ from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.policy import ForeglowPolicy, PaperPolicy
 from foreglow.beam.stage import BeamStage
 from foreglow.config import GuardConfig
-from foreglow.types import BeamCommand, BeamMode, EgoMotion, RoadAhead, Tracks, TrackState, Vehicles
+from foreglow.photometry import NUM_LEDS
+from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState, Vehicles
 from tests.beam.made_up import box_around, from_origin
 from tests.beam.policy_scenes import (
     COASTING,
@@ -193,6 +194,33 @@ def test_the_guard_leaves_that_light_out_as_well() -> None:
     assert command.mode == BeamMode.GLARE_FREE
     assert holding(gaps, SURE.azimuth_rad)
     assert not holding(gaps, BESIDE.azimuth_rad)
+
+
+@pytest.mark.parametrize("is_by_setting", [True, False])
+def test_the_guard_sees_the_tracks_and_the_car_the_command_whatever_a_policy_does_to_them(is_by_setting: bool) -> None:
+    class Dazzling(BeamPolicy):
+        def __init__(self, config: Any, headlamps: Any) -> None:
+            pass
+
+        def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
+            if is_by_setting:
+                object.__setattr__(tracks, "states", np.zeros_like(tracks.states))
+            else:
+                array = tracks.states
+                while array.base is not None:
+                    array = array.base
+                array.setflags(write=True)
+                array[:] = 0
+            return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, NUM_LEDS)))
+
+        def shone(self, command: BeamCommand) -> None:
+            object.__setattr__(command, "levels", np.ones((2, NUM_LEDS)))
+
+    stage = BeamStage(CONFIG, GuardConfig(), Dazzling)
+    for number in range(30):
+        command = stage.command(frame(number), tracks_at(number, LAMP))
+    assert command.mode == BeamMode.GLARE_FREE
+    assert command.levels.min() < 0.1
 
 
 def test_no_gap_is_held_for_a_vehicle_that_another_lamp_shows() -> None:

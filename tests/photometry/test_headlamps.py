@@ -201,6 +201,7 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("", GRID.replace("[20000.0, 10000.0]", "[1.0]"), "grid.row_peaks_cd: expected one for each of 2 rows, got 1"),
         ("", GRID.replace("[20000.0, 10000.0]", "[0.0, 10000.0]"), "grid: LED 0: expected at least 1 cd .*, got 0"),
         ("", GRID.replace("[20000.0, 10000.0]", "[20.0, 10.0]"), "grid: all LEDs together: expected at least 1000 cd"),
+        ("", GRID.replace("half_width_deg = 1.8", "half_width_deg = 1e-308"), "grid.half_width_deg: .*equal to 0.05"),
         ("", GRID.replace("edge_exponent = 2.5", ""), "grid.edge_exponent: missing"),
         ("", GRID.replace("pitch_deg = 3", "pitch_deg = 80"), "grid: num_columns: expected columns within 90 degrees"),
         (

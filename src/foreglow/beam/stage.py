@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 
 from foreglow.beam.guard import Guard
 from foreglow.beam.in_sight import lamps_in_sight
 from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.lit_street import ROAD_LIT, LitStreet
-from foreglow.beam.policy import make_policy
+from foreglow.beam.policy import POLICIES, make_policy
 from foreglow.config import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import built, checked
@@ -19,7 +20,11 @@ MAX_GAPS = 2000
 
 
 class BeamStage:
-    """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it."""
+    """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it.
+
+    A policy of somebody else gets copies: whatever it does to them, the guard judges what the tracker found, and what
+    the guard has passed is what is sent.
+    """
 
     def __init__(
         self,
@@ -43,6 +48,7 @@ class BeamStage:
         headlamps = read_headlamps(config.headlamps)
         self._min_direct = config.min_direct
         self._policy = built(policy, make_policy, config, headlamps)
+        self._is_ours = type(self._policy) in POLICIES.values()
         self._lit_street = LitStreet(lit_street or LitStreetConfig())
         self._guard = Guard(guard, headlamps)
 
@@ -65,7 +71,8 @@ class BeamStage:
         Raises:
             ValueError: If a plug-in returns something that is no command, or more than `MAX_GAPS`.
         """
-        wanted = checked("beam.policy", self._policy.command(frame, tracks), BeamCommand)
+        given = tracks if self._is_ours else copy.deepcopy(tracks)
+        wanted = checked("beam.policy", self._policy.command(frame, given), BeamCommand)
         if len(wanted.gaps_rad) > MAX_GAPS:
             raise ValueError(f"beam.policy: expected at most {MAX_GAPS} gaps of a frame, got {len(wanted.gaps_rad)}")
         if self._lit_street.update(frame):
@@ -78,7 +85,7 @@ class BeamStage:
             pipeline_faults=faults,
             is_vehicle=lamps_in_sight(tracks, self._min_direct),
         )
-        self._policy.shone(passed)
+        self._policy.shone(passed if self._is_ours else copy.deepcopy(passed))
         return passed
 
     def reset(self) -> None:

@@ -24,6 +24,11 @@ class VehicleData(Protocol):
         """Motion of the vehicle at the time of `frame`; None where unknown."""
         ...
 
+    @property
+    def tells_motion(self) -> bool:
+        """Whether the motion is unknown where it says nothing, whatever else there is, such as a recorded motion."""
+        return False
+
     def road(self, frame: Frame) -> RoadAhead | None:
         """The road ahead as the car knew it at the time of `frame`; None where unknown."""
         ...
@@ -41,7 +46,7 @@ class VehicleData(Protocol):
 class Equipped:
     """The frames of another source with vehicle data.
 
-    A frame keeps what it already carries where the data know nothing.
+    A frame keeps what it already carries where the data know nothing, but for a motion that is theirs to tell.
 
     Attributes:
         source: The other source.
@@ -139,11 +144,11 @@ def equip(frame: Frame, data: VehicleData) -> Frame:
     Raises:
         ValueError: If the calibration is for images of another size, or a file behind the data is broken.
     """
-    is_reported = data.is_reported(frame)
+    motion, is_reported = data.motion(frame), data.is_reported(frame)
     return dataclasses.replace(
         frame,
         camera=data.camera(frame) or frame.camera,
-        motion=data.motion(frame) or frame.motion,
+        motion=motion if data.tells_motion else motion or frame.motion,
         road=data.road(frame) or frame.road,
         is_reported=frame.is_reported if is_reported is None else is_reported,
     )

@@ -33,6 +33,7 @@ MAX_LED_CELLS = 64_000_000
 
 Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
 Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
+HalfWidth: TypeAlias = Annotated[float, Field(strict=True, ge=FINEST_STEP_DEG, le=90)]
 Candela: TypeAlias = Annotated[float, Field(strict=True, ge=0, le=1e6)]
 
 
@@ -105,8 +106,8 @@ class LedGrid(FrozenModel):
     row_peaks_cd: Annotated[tuple[Candela, ...], Field(strict=False)]
     side_sigma_deg: Annotated[float, Field(strict=True, ge=0.001, le=90)]
     everywhere_cd: Candela
-    half_width_deg: Width
-    half_height_deg: Width
+    half_width_deg: HalfWidth
+    half_height_deg: HalfWidth
     edge_exponent: Annotated[float, Field(ge=1, le=16)]
     reach_width_deg: Width
     reach_height_deg: Width

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -120,6 +121,19 @@ def test_the_map_goes_before_the_log(tmp_path: Path, road_map: Path, can_log: Pa
     assert by_map.error_bound_m == np.inf
     assert by_log is not None
     assert by_log.error_bound_m == 5.0
+
+
+def test_a_log_of_the_speed_that_has_fallen_silent_is_not_replaced_by_a_motion_of_the_source(can_log: Path) -> None:
+    own = EgoMotion(25.0, 0.0)
+    frames = [dataclasses.replace(frame(time_s), motion=own) for time_s in (5.0, 11.0)]
+    before, after = Equipped(ListSource(frames), open_vehicle_data(can_log=can_log))
+    assert before.motion is not None
+    assert before.motion.speed_mps == 12.0
+    assert after.motion is None
+    of_reports = CanLog()
+    of_reports.add_number("production", 0, 1.0)
+    kept = list(Equipped(ListSource(frames), VehicleFiles(log=of_reports)))
+    assert [each.motion for each in kept] == [own, own]
 
 
 def test_frames_carry_it(calibration: Path, can_log: Path) -> None:

@@ -88,6 +88,7 @@ class CanLog:
         last_ns: Time of the last value.
         has_street: Whether it has a whole street message.
         is_empty: Whether it has no value.
+        tells_speed: Whether it is a log of the speed, also while it has none.
     """
 
     def __init__(self, keep_s: float = math.inf) -> None:
@@ -97,7 +98,7 @@ class CanLog:
         self._numbers = {name: Latest[float](MOTION_STALE_S) for name in ("speed", "yaw_rate", "production")}
         self._lock = threading.Lock()
         self.first_ns = self.last_ns = 0
-        self.has_street, self.is_empty = False, True
+        self.has_street, self.is_empty, self.tells_speed = False, True, False
 
     def add_street(self, time_ns: int, message: StreetMessage | None) -> None:
         """Adds the road at the latest position, None for an unknown position; times must not fall."""
@@ -268,6 +269,7 @@ class CanDecoder:
         self.log = CanLog(keep_s)
         messages = read_dbc(dbc)
         self._mapping = read_mapping(mapping)
+        self.log.tells_speed = self._mapping.speed is not None
         self._street_frames = StreetFrames(self._mapping)
         self._sections: dict[CanKey, tuple[Message, list[tuple[str, dict[str, str]]]]] = {}
         self._factors: dict[str, float] = {}

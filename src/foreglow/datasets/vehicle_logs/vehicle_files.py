@@ -68,6 +68,11 @@ class VehicleFiles(VehicleData):
         log = [] if self._log is None else [f"--can-log {self._names[1]}"]
         return log if self._poses is None else [*log, f"--poses {self._names[2]}"]
 
+    @property
+    def tells_motion(self) -> bool:
+        """Whether there is a log of the speed: a bus that has fallen silent says that the speed is unknown."""
+        return self._log is not None and self._log.tells_speed
+
     def camera(self, frame: Frame) -> Camera | None:
         """The calibration, scaled to the frame's size; None if there is no calibration.
 
