@@ -62,11 +62,14 @@ def test_a_spiral_bends_as_a_clothoid(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("axis", "UV")
 @pytest.mark.parametrize("power", "abcd")
-def test_a_coefficient_that_is_far_too_large_is_refused(tmp_path: Path, axis: str, power: str) -> None:
+@pytest.mark.parametrize(("others", "p_range"), [(1.0, "normalized"), (0.0, "arcLength")])
+def test_a_coefficient_that_is_far_too_large_is_refused(
+    tmp_path: Path, axis: str, power: str, others: float, p_range: str
+) -> None:
     """Without a warning of NumPy's before, which is an error in tests."""
-    numbers = {f"{name}{of}": 1.0 for of in "UV" for name in "abcd"} | {f"{power}{axis}": 1e308}
+    numbers = {f"{name}{of}": others for of in "UV" for name in "abcd"} | {f"{power}{axis}": 1e308}
     words = " ".join(f'{name}="{value}"' for name, value in numbers.items())
-    shape = f"<paramPoly3 {words}/>"
+    shape = f'<paramPoly3 pRange="{p_range}" {words}/>'
     with pytest.raises(ValueError, match=r"\.xodr: road"):
         read(tmp_path, road(geometry(0, 0, 0, 0, 20, shape), 20))
 
