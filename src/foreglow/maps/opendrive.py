@@ -132,14 +132,14 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
         if abs(heading) > MAX_HEADING_RAD:
             raise ValueError(f"{origin}: geometry: hdg: expected at most {MAX_HEADING_RAD:g} rad, got {heading:g}")
         own = _curve(geometry, ways_m[here] - begin_m, origin)
+        if not np.isfinite(own).all():
+            shape = next((shape.tag for shape in geometry if shape.tag in SHAPES), "no shape")
+            raise ValueError(
+                f"{origin}: geometry at s = {begin_m:g} m: expected finite places, got others by its {shape}"
+            )
         turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
         turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
         found[here] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)
-        if not np.isfinite(found[here]).all():
-            shape = next((shape.tag for shape in geometry if shape.tag in SHAPES), "no shape")
-            raise ValueError(
-                f"{origin}: geometry at s = {begin_m:g} m: expected finite places, got others by x, y, hdg and {shape}"
-            )
     steps_m = np.hypot(*np.diff(found[:, :2], axis=0).T)
     if not (steps_m <= MAX_STEP_M).all():
         worst = int(steps_m.argmax())
