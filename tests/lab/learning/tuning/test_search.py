@@ -12,7 +12,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
-from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study, prepare
+from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -174,33 +174,6 @@ def test_a_line_that_was_cut_off_is_left_out(straight: Tuning, data: Path, tmp_p
     assert drawn(again.trials)[:2] == drawn(straight.trials)[:2]
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda line: line.replace(b",", b"*", 1),
-        lambda line: b"garbage\n",  # noqa: ARG005
-        lambda line: b"\xff" + line,
-        lambda line: line[:-1],  # two records in one line
-        lambda line: b"[" * 100_000 + b"\n",  # noqa: ARG005
-        lambda line: line.replace(b"worker_id", b"vorker_id"),
-        lambda line: line.replace(b'"op_code":', b'"op_code":"'),
-    ],
-)
-def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
-    journal = tmp_path / "study.journal"
-    plan = StudyPlan(str(journal), "name", TuningSettings())
-    prepare(open_study(plan), plan)
-    first, second, *others = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join([first, damage(second), *others]))
-    before = journal.read_bytes()
-    expected = (
-        r"study\.journal: line 2: expected a whole record of a search; choose another folder or storage, or remove"
-    )
-    with pytest.raises(ValueError, match=expected):
-        open_study(plan)
-    assert journal.read_bytes() == before
-
-
 @pytest.mark.parametrize(("code", "what"), [(0, "study 0"), (4, "trial 2")])
 def test_a_lost_beginning_of_a_search_or_of_a_trial_is_told(data: Path, tmp_path: Path, code: int, what: str) -> None:
     """Optuna passes over what follows from it: the search began anew without a word."""
@@ -226,17 +199,6 @@ def test_a_record_of_a_trial_that_is_lost_is_told(data: Path, tmp_path: Path, co
     journal.write_bytes(b"".join(kept))
     with pytest.raises(ValueError, match=r"study\.journal: trial \d: expected all its parameters and its measurement"):
         searched(data, tmp_path, 5)
-
-
-def test_a_record_that_optuna_cannot_read(tmp_path: Path) -> None:
-    journal = tmp_path / "study.journal"
-    plan = StudyPlan(str(journal), "name", TuningSettings())
-    prepare(open_study(plan), plan)
-    journal.write_bytes(journal.read_bytes().replace(b'"study_id"', b'"study_ie"'))
-    with pytest.raises(
-        ValueError, match=r"study\.journal: expected whole records of a search: 'study_id'; choose another folder"
-    ):
-        open_study(plan)
 
 
 def test_a_lock_that_a_killed_process_left_is_broken_without_a_word(
@@ -287,16 +249,6 @@ def test_machines_share_a_database(data: Path, tmp_path: Path) -> None:
     second = searched(data, tmp_path / "two", 3, num_images=4, storage=storage)
     assert len(second.trials) == 3
     assert not list(tmp_path.glob("*/study.journal"))
-
-
-@pytest.mark.parametrize("content", [b"my only notes\n", b'{"sequences": []}\n', b"{"])
-def test_a_file_that_is_no_journal_stays_as_it_is(tmp_path: Path, content: bytes) -> None:
-    notes = tmp_path / "notes.txt"
-    notes.write_bytes(content)
-    with pytest.raises(ValueError, match=r"notes\.txt: expected a new file, or the journal of a search"):
-        open_study(StudyPlan(str(notes), "name", TuningSettings()))
-    assert notes.read_bytes() == content
-    assert list(tmp_path.iterdir()) == [notes]
 
 
 @pytest.mark.parametrize("storage", ["nosuch://me:se@cret@host/x", "nosuch://:se@cret@host:1/x?y=z"])
