@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from foreglow.folder_lock import FolderLock, locked
-from foreglow.outputs import KINDS, TRAINING, TUNING, check_outputs, check_own, running
+from foreglow.lab.learning.recipes import recipe, recipe_to_toml
+from foreglow.outputs import KINDS, TRAINING, TUNING, check_no_parts, check_outputs, check_own, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from tests.cli.commands import PNG, complaint, foreglow_command
@@ -124,6 +125,26 @@ def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> No
     assert (run / "config.toml").read_text() == "of a run"
     data.mkdir()
     assert "expected each data set once" in complaint("train", data, data / ".", "--out", tmp_path / "model")
+
+
+@pytest.mark.parametrize(
+    ("mark", "text", "part"),
+    [
+        ("recipe.toml", recipe_to_toml(recipe("compact")), "samples"),
+        ("recipe.toml", recipe_to_toml(recipe("compact")), "samples/607ad3e0cf07471f"),
+        ("study.journal", '{"op_code":0,"worker_id":"a"}', "frames"),
+        ("frames.jsonl", FRAME, "calibration"),
+    ],
+)
+def test_a_part_of_earlier_results_is_no_folder_for_others(tmp_path: Path, mark: str, text: str, part: str) -> None:
+    (tmp_path / part).mkdir(parents=True)
+    (tmp_path / mark).write_text(text)
+    for command in ("train", "tune", "export-yolo"):
+        refused = complaint(command, tmp_path / "data", "--out", tmp_path / part)
+        assert f"--out {tmp_path / part}: expected a new folder for the results, not a part of {tmp_path}" in refused
+    check_no_parts({"--out": tmp_path / "another"})
+    (tmp_path / mark).unlink()
+    check_no_parts({"--out": tmp_path / part})
 
 
 def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:
