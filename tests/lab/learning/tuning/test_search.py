@@ -283,6 +283,31 @@ def test_a_database_of_something_else_stays_as_it_is(tmp_path: Path, content: by
     assert path.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("storage", "reason"),
+    [
+        (
+            "http://x",
+            "http://x: expected the URL of a database that can be opened, such as sqlite:///FILE, or a file: ",
+        ),
+        ("redis://localhost", "redis://localhost: expected the URL of a database"),
+        ("sqlite:////proc/none/x", "sqlite:////proc/none/x: expected the URL of a database"),
+        ("sqlite:///{notes}", "notes.txt: expected a new file, or a database of searches"),
+        ("{notes}", "notes.txt: expected a new file, or the journal of a search"),
+    ],
+)
+def test_a_storage_is_looked_at_before_frames_are_decoded(
+    data: Path, tmp_path: Path, storage: str, reason: str
+) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("my only notes\n")
+    refused = complaint(
+        "tune", data, "--trials", 2, "--out", tmp_path / "out", "--storage", storage.format(notes=notes)
+    )
+    assert reason in refused
+    assert list(tmp_path.iterdir()) == [notes]
+
+
 def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:
     labels = next(path for path in data.rglob("sequences.json") if "val" in path.parts)
     before = labels.read_bytes()

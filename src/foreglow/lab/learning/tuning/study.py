@@ -133,7 +133,36 @@ def open_study(plan: StudyPlan) -> optuna.Study:
         if "://" not in plan.storage:  # a record with another field or number
             reason = first_line_of(error) or type(error).__name__
             raise ValueError(f"{plan.storage}: expected whole records of a search: {reason}; {WAYS_OUT}") from error
-        raise ValueError(_without_password(f"storage: {plan.storage}: {error}", plan.storage)) from None
+        raise _unusable(plan.storage, error) from None
+
+
+def check_storage(storage: str) -> None:
+    """Checks that a storage can be used, before work is done for it; a database is made ready for studies.
+
+    Raises:
+        ModuleNotFoundError: If a package for the database is not installed.
+        ValueError: If it cannot.
+    """
+    from optuna.storages import RDBStorage
+
+    if "://" not in storage:
+        check_journal(Path(storage))
+        return
+    try:
+        if storage.startswith(_SQLITE):
+            check_database(Path(storage.removeprefix(_SQLITE)))
+        RDBStorage(storage).engine.dispose()
+    except (ModuleNotFoundError, OSError, NoJournalError):
+        raise
+    except Exception as error:  # as in `open_study`
+        raise _unusable(storage, error) from None
+
+
+def _unusable(url: str, error: Exception) -> ValueError:
+    """The error on the URL of a database that cannot be opened."""
+    reason = first_line_of(error) or type(error).__name__
+    expected = "expected the URL of a database that can be opened, such as sqlite:///FILE, or a file"
+    return ValueError(_without_password(f"storage: {url}: {expected}: {reason}", url))
 
 
 def _without_password(message: str, url: str) -> str:
