@@ -127,6 +127,22 @@ def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> No
     assert "expected each data set once" in complaint("train", data, data / ".", "--out", tmp_path / "model")
 
 
+def test_a_file_in_place_of_a_shared_folder_is_told_with_its_option(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused = complaint("train", tmp_path / "data", "--out", tmp_path / "out", "--cache", tmp_path / "file")
+    assert f"--cache {tmp_path / 'file'}: expected a folder to write into, got a file" in refused
+
+
+@pytest.mark.parametrize("command", ["train", "tune"])
+def test_a_folder_in_place_of_a_result_is_told(tmp_path: Path, command: str) -> None:
+    (tmp_path / "recipe.toml").write_text(recipe_to_toml(recipe("compact")))
+    (tmp_path / "config.toml").mkdir()
+    out = tmp_path if command == "train" else tmp_path / "search"
+    (tmp_path / "search" / "config.toml").mkdir(parents=True)
+    refused = complaint(command, tmp_path / "data", "--out", out)
+    assert f"{out / 'config.toml'}: expected a file to write, or nothing, got a folder" in refused
+
+
 @pytest.mark.parametrize(
     ("mark", "text", "part"),
     [

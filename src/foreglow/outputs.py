@@ -170,6 +170,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
+        if exists(path) and not path.is_dir():
+            raise ValueError(f"{name} {path}: expected a folder to write into, got a file")
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
@@ -405,11 +407,14 @@ def check_own(folder: Path, mark: str) -> None:
         mark: `RUN`, `TRAINING` or `TUNING`.
 
     Raises:
-        ValueError: If it has one that something else wrote, which would be lost.
+        ValueError: If it has one that something else wrote, which would be lost, or a folder of that name.
     """
+    names = dict.fromkeys((*KINDS[mark].parts, "config.toml", "summary.json"))
+    for name in names:
+        check_replaceable(folder / name)
     if _has_earlier(folder, mark):
         return
-    for path in (folder / name for name in (*KINDS[mark].parts, "config.toml", "summary.json")):
+    for path in (folder / name for name in names):
         if path.is_file():
             raise ValueError(_words_on_foreign(path))
 

@@ -74,33 +74,33 @@ def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[
 FINITE = "expected a finite number, got"
 
 
-@pytest.mark.parametrize(
-    ("code", "field", "value", "words"),
-    [
-        *((7, "intermediate_value", value, FINITE) for value in ({}, "x", [1], None, True, math.inf, math.nan)),
-        (7, "step", [1], "expected a whole number of at least 0, got"),
-        (7, "step", ..., "expected a whole number of at least 0, got nothing"),
-        *((code, "trial_id", ..., "expected a whole number of at least 0, got nothing") for code in range(5, 9)),
-        *((code, "trial_id", value, "expected a whole number of at") for code in (5, 8) for value in (-1, True, "0")),
-        *((2, "study_id", value, "expected a whole number of at least 0") for value in (..., 0.0, None)),
-        *((6, "datetime_complete", value, "expected a time, got") for value in (..., None, 3, "yesterday")),
-        *((6, "state", value, "expected the number of a state") for value in (..., 9, "1", {}, True)),
-        *((6, "values", value, "expected finite numbers or null") for value in (..., 1.0, ["x"], [math.nan], [], {})),
-        *((5, "param_value_internal", value, FINITE) for value in (..., "x", math.inf, {})),
-        *((5, "distribution", value, "expected a distribution as text") for value in (..., {}, "x", "{}", "null")),
-        (5, "param_name", [], "expected text, got"),
-        *((8, "user_attr", value, "expected one attribute as a search writes it") for value in (..., {}, [], "x")),
-        (8, "user_attr", {"process": ["host"]}, "expected one attribute as a search writes it"),
-        (8, "user_attr", {"measurement": ["x"]}, "expected one attribute as a search writes it"),
-        (4, "datetime_start", 3, "expected a time or null"),
-        (4, "state", 7, "expected the number of a state"),
-        (4, "system_attrs", {"fixed_params": {"kappa": "x"}}, "expected attributes as a search writes them"),
-        (4, "intermediate_values", {"x": 1}, "expected a table of finite numbers by step"),
-        (4, "params", {"kappa": "x"}, "expected a table of finite numbers"),
-        (0, "directions", [7], "expected 1 or 2 in a list"),
-        (0, "study_name", None, "expected text, got None"),
-    ],
-)
+WRONG_FIELDS: list[tuple[int, str, Any, str]] = [
+    *((7, "intermediate_value", value, FINITE) for value in ({}, "x", [1], None, True, math.inf, math.nan)),
+    (7, "step", [1], "expected a whole number of at least 0, got"),
+    (7, "step", ..., "expected a whole number of at least 0, got nothing"),
+    *((code, "trial_id", ..., "expected a whole number of at least 0, got nothing") for code in range(5, 9)),
+    *((code, "trial_id", value, "expected a whole number of at") for code in (5, 8) for value in (-1, True, "0")),
+    *((2, "study_id", value, "expected a whole number of at least 0") for value in (..., 0.0, None)),
+    *((6, "datetime_complete", value, "expected a time, got") for value in (..., None, 3, "yesterday")),
+    *((6, "state", value, "expected the number of a state") for value in (..., 9, "1", {}, True)),
+    *((6, "values", value, "expected finite numbers or null") for value in (..., 1.0, ["x"], [math.nan], [], {})),
+    *((5, "param_value_internal", value, FINITE) for value in (..., "x", math.inf, {})),
+    *((5, "distribution", value, "expected a distribution as text") for value in (..., {}, "x", "{}", "null")),
+    (5, "param_name", [], "expected text, got"),
+    *((8, "user_attr", value, "expected one attribute as a search writes it") for value in (..., {}, [], "x")),
+    (8, "user_attr", {"process": ["host"]}, "expected one attribute as a search writes it"),
+    (8, "user_attr", {"measurement": ["x"]}, "expected one attribute as a search writes it"),
+    (4, "datetime_start", 3, "expected a time or null"),
+    (4, "state", 7, "expected the number of a state"),
+    (4, "system_attrs", {"fixed_params": {"kappa": "x"}}, "expected attributes as a search writes them"),
+    (4, "intermediate_values", {"x": 1}, "expected a table of finite numbers by step"),
+    (4, "params", {"kappa": "x"}, "expected a table of finite numbers"),
+    (0, "directions", [7], "expected 1 or 2 in a list"),
+    (0, "study_name", None, "expected text, got None"),
+]
+
+
+@pytest.mark.parametrize(("code", "field", "value", "words"), WRONG_FIELDS)
 def test_a_wrong_field_of_a_journal_is_named(
     begun: bytes, tmp_path: Path, code: int, field: str, value: Any, words: str
 ) -> None:
