@@ -71,38 +71,38 @@ def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[
     assert journal.read_bytes() == before
 
 
-FINITE = "expected a finite number, got"
+COUNT, FINITE = "expected a whole number of at least 0, got", "expected a finite number, got"
+ATTRIBUTE = "expected one attribute as a search writes it, got"
 
-
-WRONG_FIELDS: list[tuple[int, str, Any, str]] = [
-    *((7, "intermediate_value", value, FINITE) for value in ({}, "x", [1], None, True, math.inf, math.nan)),
-    (7, "step", [1], "expected a whole number of at least 0, got"),
-    (7, "step", ..., "expected a whole number of at least 0, got nothing"),
-    *((code, "trial_id", ..., "expected a whole number of at least 0, got nothing") for code in range(5, 9)),
-    *((code, "trial_id", value, "expected a whole number of at") for code in (5, 8) for value in (-1, True, "0")),
-    *((2, "study_id", value, "expected a whole number of at least 0") for value in (..., 0.0, None)),
-    *((6, "datetime_complete", value, "expected a time, got") for value in (..., None, 3, "yesterday")),
-    *((6, "state", value, "expected the number of a state") for value in (..., 9, "1", {}, True)),
-    *((6, "values", value, "expected finite numbers or null") for value in (..., 1.0, ["x"], [math.nan], [], {})),
-    *((5, "param_value_internal", value, FINITE) for value in (..., "x", math.inf, {})),
-    *((5, "distribution", value, "expected a distribution as text") for value in (..., {}, "x", "{}", "null")),
-    (5, "param_name", [], "expected text, got"),
-    *((8, "user_attr", value, "expected one attribute as a search writes it") for value in (..., {}, [], "x")),
-    (8, "user_attr", {"process": ["host"]}, "expected one attribute as a search writes it"),
-    (8, "user_attr", {"measurement": ["x"]}, "expected one attribute as a search writes it"),
-    (4, "datetime_start", 3, "expected a time or null"),
-    (4, "state", 7, "expected the number of a state"),
-    (4, "system_attrs", {"fixed_params": {"kappa": "x"}}, "expected attributes as a search writes them"),
-    (4, "intermediate_values", {"x": 1}, "expected a table of finite numbers by step"),
-    (4, "params", {"kappa": "x"}, "expected a table of finite numbers"),
-    (0, "directions", [7], "expected 1 or 2 in a list"),
-    (0, "study_name", None, "expected text, got None"),
+WRONG_FIELDS: list[tuple[int, str, str, list[Any]]] = [
+    (0, "study_name", "expected text, got", [None, ...]),
+    (0, "directions", "expected 1 or 2 in a list, got", [[7], [], 1, ...]),
+    (2, "study_id", COUNT, [0.0, None, ...]),
+    (4, "datetime_start", "expected a time or null, got", [3, "yesterday", ...]),
+    (4, "state", "expected the number of a state, from 0 to 4, got", [7]),
+    (4, "system_attrs", "expected attributes as a search writes them, got", [{"fixed_params": {"kappa": "x"}}, []]),
+    (4, "intermediate_values", "expected a table of finite numbers by step, got", [{"x": 1}, {"1": "x"}]),
+    (4, "params", "expected a table of finite numbers, got", [{"kappa": "x"}]),
+    *((code, "trial_id", COUNT, [-1, True, "0", ...]) for code in range(5, 9)),
+    (5, "param_name", "expected text, got", [[], ...]),
+    (5, "param_value_internal", FINITE, ["x", math.inf, {}, ...]),
+    (5, "distribution", "expected a distribution as text, got", [{}, "x", "{}", "null", ...]),
+    (6, "state", "expected the number of a state, from 0 to 4, got", [9, "1", {}, True, ...]),
+    (6, "values", "expected finite numbers or null, got", [1.0, ["x"], [math.nan], [], {}, ...]),
+    (6, "datetime_complete", "expected a time, got", [None, 3, "yesterday", ...]),
+    (7, "step", COUNT, [[1], None, ...]),
+    (7, "intermediate_value", FINITE, [{}, "x", [1], None, True, math.inf, math.nan, ...]),
+    (8, "user_attr", ATTRIBUTE, [{}, [], "x", {"process": ["host"]}, {"measurement": ["x"]}, ...]),
 ]
+"""By `op_code` and field: what was expected, and wrong values; with `...` there is none."""
 
 
-@pytest.mark.parametrize(("code", "field", "value", "words"), WRONG_FIELDS)
+@pytest.mark.parametrize(
+    ("code", "field", "words", "value"),
+    [(code, field, words, value) for code, field, words, values in WRONG_FIELDS for value in values],
+)
 def test_a_wrong_field_of_a_journal_is_named(
-    begun: bytes, tmp_path: Path, code: int, field: str, value: Any, words: str
+    begun: bytes, tmp_path: Path, code: int, field: str, words: str, value: Any
 ) -> None:
     """The last record of the kind: an earlier one may have other fields, as of a trial that waits."""
     journal = tmp_path / "study.journal"
