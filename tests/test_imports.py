@@ -62,7 +62,7 @@ ALLOWED: dict[str, set[str]] = {
     "lab.simulation": VALUES
     | BASES
     | {"folder_lock", "outputs", "calibration", "maps", "proposals", "beam", "datasets", "runtime", "display"},
-    "lab.evaluation": CAR,
+    "lab.evaluation": CAR | {"outputs"},
     "lab.learning": CAR | {"models", "folder_lock", "outputs", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"outputs", "lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from foreglow.folder_lock import FolderLock, locked
-from foreglow.outputs import KINDS, TRAINING, TUNING, check_outputs, check_own, running
+from foreglow.lab.learning.recipes import recipe, recipe_to_toml
+from foreglow.outputs import KINDS, TRAINING, TUNING, check_no_parts, check_outputs, check_own, running
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from tests.cli.commands import PNG, complaint, foreglow_command
@@ -124,6 +125,42 @@ def test_a_training_and_a_search_leave_what_is_not_of_them(tmp_path: Path) -> No
     assert (run / "config.toml").read_text() == "of a run"
     data.mkdir()
     assert "expected each data set once" in complaint("train", data, data / ".", "--out", tmp_path / "model")
+
+
+def test_a_file_in_place_of_a_shared_folder_is_told_with_its_option(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    refused = complaint("train", tmp_path / "data", "--out", tmp_path / "out", "--cache", tmp_path / "file")
+    assert f"--cache {tmp_path / 'file'}: expected a folder to write into, got a file" in refused
+
+
+@pytest.mark.parametrize("command", ["train", "tune"])
+def test_a_folder_in_place_of_a_result_is_told(tmp_path: Path, command: str) -> None:
+    (tmp_path / "recipe.toml").write_text(recipe_to_toml(recipe("compact")))
+    (tmp_path / "config.toml").mkdir()
+    out = tmp_path if command == "train" else tmp_path / "search"
+    (tmp_path / "search" / "config.toml").mkdir(parents=True)
+    refused = complaint(command, tmp_path / "data", "--out", out)
+    assert f"{out / 'config.toml'}: expected a file to write, or nothing, got a folder" in refused
+
+
+@pytest.mark.parametrize(
+    ("mark", "text", "part"),
+    [
+        ("recipe.toml", recipe_to_toml(recipe("compact")), "samples"),
+        ("recipe.toml", recipe_to_toml(recipe("compact")), "samples/607ad3e0cf07471f"),
+        ("study.journal", '{"op_code":0,"worker_id":"a"}', "frames"),
+        ("frames.jsonl", FRAME, "calibration"),
+    ],
+)
+def test_a_part_of_earlier_results_is_no_folder_for_others(tmp_path: Path, mark: str, text: str, part: str) -> None:
+    (tmp_path / part).mkdir(parents=True)
+    (tmp_path / mark).write_text(text)
+    for command in ("train", "tune", "export-yolo"):
+        refused = complaint(command, tmp_path / "data", "--out", tmp_path / part)
+        assert f"--out {tmp_path / part}: expected a new folder for the results, not a part of {tmp_path}" in refused
+    check_no_parts({"--out": tmp_path / "another"})
+    (tmp_path / mark).unlink()
+    check_no_parts({"--out": tmp_path / part})
 
 
 def test_the_report_of_an_earlier_run_goes_with_it(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from typer.models import OptionInfo
 
 from foreglow.folder_lock import locked
 from foreglow.inputs import named_by
-from foreglow.outputs import check_kinds, check_outputs, exists, running
+from foreglow.outputs import check_kinds, check_no_parts, check_outputs, exists, running
 from foreglow.own_files import FileKind
 
 MAX_INTEGER = 2**31 - 1
@@ -167,6 +167,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         kinds = {_label(name, info[0]): info[0].kind for name, info in infos.items() if roles[name] == "output file"}
         with running(_command_of(function), inputs):
             check_outputs(inputs, files, folders | shared)
+            check_no_parts(folders)
             check_kinds(files, kinds)
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})

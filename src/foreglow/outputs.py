@@ -55,6 +55,7 @@ class FolderKind:
         commands: Those that may have written it, where nothing there says which one did.
         parts: The files beside the mark that are lost if another command writes them.
         deeper: Such files in folders of it.
+        folders: Those that it has, in which nothing else may be written.
         begun: Those by which an earlier one is known that may not be complete, if they hold what a command writes.
         command_keys: Where the mark, as JSON, says which command wrote it; empty if it does not.
     """
@@ -62,6 +63,7 @@ class FolderKind:
     commands: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
     deeper: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()
     begun: tuple[str, ...] = ()
     command_keys: tuple[str, ...] = ()
 
@@ -71,14 +73,21 @@ KINDS = {
         ("run", "beam", "live", "demo"),
         RESULT_NAMES,
         deeper=("calibration/camera.toml", "calibration/camera.png"),
+        folders=("calibration",),
         begun=(RUN, "times.jsonl", "summary.json"),
     ),
     TRAINING: FolderKind(
         ("train",),
         (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+        folders=("samples",),
         begun=(TRAINING, "checkpoint.pt"),
     ),
-    TUNING: FolderKind(("tune",), (TUNING, "study.journal", "summary.json"), begun=(TUNING, "study.journal")),
+    TUNING: FolderKind(
+        ("tune",),
+        (TUNING, "study.journal", "summary.json"),
+        folders=("frames",),
+        begun=(TUNING, "study.journal"),
+    ),
     "study.journal": FolderKind(("tune",)),
     "plan.json": FolderKind(("experiment glare",)),
     "experiments.json": FolderKind(("reproduce",)),
@@ -161,6 +170,8 @@ def check_outputs(inputs: Mapping[str, Path], files: Mapping[str, Path], folders
         if (exists(path) and not path.is_file()) or path.parent.resolve() == DEVICES:
             raise ValueError(f"{name} {path}: expected a file to write, got a device, a pipe or a socket")
     for name, path in folders.items():
+        if exists(path) and not path.is_dir():
+            raise ValueError(f"{name} {path}: expected a folder to write into, got a file")
         for other, read in inputs.items():
             if _is_same(path, read):
                 raise ValueError(f"{name} {path}: expected another folder for the results than {other}")
@@ -299,7 +310,7 @@ def _check_writer(name: str, folder: Path) -> None:
         if kind.commands and (folder / mark).is_file() and not command.startswith(kind.commands):
             raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
     if command.startswith(REPORTING) and not _has_report(folder):
-        _check_new(name, folder)
+        check_new(f"{name} {folder}", folder, REPORT_SUFFIXES)
 
 
 def _has_report(folder: Path) -> bool:
@@ -307,13 +318,17 @@ def _has_report(folder: Path) -> bool:
     return any(is_own(folder / name) for name in ("plan.json", "experiments.json", "results.json"))
 
 
-def _check_new(name: str, folder: Path) -> None:
-    """ValueError if a report could overwrite a file in the folder, none of which is of an earlier one."""
-    there = sorted(folder.iterdir()) if folder.is_dir() else []
-    for path in there:
-        if path.is_file() and not path.name.startswith(".") and path.suffix.lower() in REPORT_SUFFIXES:
+def check_new(name: str, folder: Path, suffixes: Sequence[str] | None = None) -> None:
+    """ValueError if what is in `folder`, which has no earlier results, is of something else; hidden files may be there.
+
+    `name` stands for the folder in the message. Only files whose names end with one of `suffixes` are in the way; with
+    None everything is.
+    """
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        is_in_the_way = suffixes is None or (path.is_file() and path.suffix.lower() in suffixes)
+        if is_in_the_way and not path.name.startswith("."):
             raise ValueError(
-                f"{name} {folder}: expected a new folder, or one with earlier results of this command; {path} is of "
+                f"{name}: expected a new folder, or one with earlier results of this command; {path} is of "
                 "something else"
             )
 
@@ -392,13 +407,34 @@ def check_own(folder: Path, mark: str) -> None:
         mark: `RUN`, `TRAINING` or `TUNING`.
 
     Raises:
-        ValueError: If it has one that something else wrote, which would be lost.
+        ValueError: If it has one that something else wrote, which would be lost, or a folder of that name.
     """
+    names = dict.fromkeys((*KINDS[mark].parts, "config.toml", "summary.json"))
+    for name in names:
+        check_replaceable(folder / name)
     if _has_earlier(folder, mark):
         return
-    for path in (folder / name for name in (*KINDS[mark].parts, "config.toml", "summary.json")):
+    for path in (folder / name for name in names):
         if path.is_file():
             raise ValueError(_words_on_foreign(path))
+
+
+def check_no_parts(folders: Mapping[str, Path]) -> None:
+    """Checks that folders for results are not, and do not lie in, those that belong to a run, training or search.
+
+    Args:
+        folders: By option, folders to write into, but for those that several commands share.
+
+    Raises:
+        ValueError: If one does; the message names the earlier results.
+    """
+    for name, path in folders.items():
+        with contextlib.suppress(OSError, RuntimeError):  # as in `_is_same`
+            for part in (path.resolve(), *path.resolve().parents):
+                if any(part.name in kind.folders and _is_begun(part.parent, kind) for kind in KINDS.values()):
+                    raise ValueError(
+                        f"{name} {path}: expected a new folder for the results, not a part of {part.parent}"
+                    )
 
 
 def check_made_together(files: Sequence[Path]) -> None:
@@ -418,7 +454,11 @@ def _words_on_foreign(path: Path) -> str:
 
 def _has_earlier(folder: Path, mark: str) -> bool:
     """Whether a folder has an earlier run, training or search, also one that was interrupted."""
-    if any(is_own(folder / name) for name in KINDS[mark].begun):
+    if _is_begun(folder, KINDS[mark]):
         return True
     is_begun = mark == RUN and any(partial_path(folder / name).exists() for name in RESULT_NAMES)
     return is_begun or (mark == RUN and _has_report(folder))
+
+
+def _is_begun(folder: Path, kind: FolderKind) -> bool:
+    return any(is_own(folder / name) for name in kind.begun)

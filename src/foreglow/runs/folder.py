@@ -13,7 +13,7 @@ from typing import TypeVar
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import file_digest, json_text
 from foreglow.folder_lock import FolderLock
-from foreglow.outputs import RESULT_NAMES, RUN, check_own, check_replaceable
+from foreglow.outputs import RESULT_NAMES, RUN, check_own
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary_file import LiveSummary, RunSummary
@@ -54,8 +54,6 @@ class OutputFolder:
         self._lock = FolderLock(path)
         try:
             check_own(path, RUN)
-            for name in RESULT_NAMES:
-                check_replaceable(path / name)
             self.write_text("frames.jsonl", "")
         except BaseException:
             self.discard()

@@ -61,35 +61,35 @@ def followed(*ids: int, last: TrackState = TrackState.CONFIRMED) -> dict[int, Tr
 
 def test_rows(dataset: PVDN, tmp_path: Path) -> None:
     tracks = followed(0, 0, 0, last=TrackState.TENTATIVE)
-    export_mot(dataset, BOXES, tracks, tmp_path, "ours")
-    assert (tmp_path / "gt/S00003/gt/gt.txt").read_text().splitlines() == [
+    export_mot(dataset, BOXES, tracks, tmp_path / "out", "ours")
+    assert (tmp_path / "out/gt/S00003/gt/gt.txt").read_text().splitlines() == [
         "1,1,10.000,20.000,20.000,20.000,1,1,1",
         "2,1,11.000,20.000,20.000,20.000,1,1,1",
         "2,2,52.000,22.000,16.000,16.000,1,1,1",  # no proposal contains it
         "3,1,12.000,20.000,20.000,20.000,1,1,1",
         "3,2,50.000,20.000,20.000,20.000,1,1,1",
     ]
-    assert (tmp_path / "trackers/ours/data/S00003.txt").read_text().splitlines() == [
+    assert (tmp_path / "out/trackers/ours/data/S00003.txt").read_text().splitlines() == [
         "1,1,10.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
         "2,1,11.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
     ]
-    assert "seqLength=3" in (tmp_path / "gt/S00003/seqinfo.ini").read_text()
-    assert (tmp_path / "gt/S00001/gt/gt.txt").read_text() == ""  # no light
-    assert (tmp_path / "trackers/ours/data/S00001.txt").read_text() == ""
+    assert "seqLength=3" in (tmp_path / "out/gt/S00003/seqinfo.ini").read_text()
+    assert (tmp_path / "out/gt/S00001/gt/gt.txt").read_text() == ""  # no light
+    assert (tmp_path / "out/trackers/ours/data/S00001.txt").read_text() == ""
 
 
 def test_a_track_of_doubtful_light_is_left_out(dataset: PVDN, tmp_path: Path) -> None:
     tracks = followed(0, 0, 0)
     tracks[13] = tracks_of([[80, 40, 99, 60], [0, 40, 99, 60], [12, 20, 95, 60]])  # doubtful twice; a light, too
-    export_mot(dataset, BOXES, tracks, tmp_path)
-    rows = (tmp_path / "trackers/foreglow/data/S00003.txt").read_text().splitlines()
+    export_mot(dataset, BOXES, tracks, tmp_path / "out")
+    rows = (tmp_path / "out/trackers/foreglow/data/S00003.txt").read_text().splitlines()
     assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "3"]]
 
 
 def test_lights_in_one_box_are_one_object(dataset: PVDN, tmp_path: Path) -> None:
     wide = predictions_of({5: [], 7: [], **{image_id: [(0, 0, 95, 60, 0.5)] for image_id in IMAGES}})
-    export_mot(dataset, wide, followed(0, 0, 0), tmp_path)
-    rows = (tmp_path / "gt/S00003/gt/gt.txt").read_text().splitlines()
+    export_mot(dataset, wide, followed(0, 0, 0), tmp_path / "out")
+    rows = (tmp_path / "out/gt/S00003/gt/gt.txt").read_text().splitlines()
     assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "1"]]
 
 
@@ -99,6 +99,15 @@ def test_files_of_another_tool_stay(dataset: PVDN, tmp_path: Path, name: str) ->
     with pytest.raises(ValueError, match=f"{name}: expected nothing there but an earlier export of this split"):
         export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out", "ours")
     assert [path.read_text() for path in (tmp_path / "out").rglob("*") if path.is_file()] == ['"mine"']
+
+
+def test_an_export_goes_into_a_new_folder(dataset: PVDN, tmp_path: Path) -> None:
+    write(tmp_path / "out" / "notes.txt", "mine")
+    with pytest.raises(
+        ValueError, match=r"out: expected a new folder, or one with earlier .*notes\.txt is of something"
+    ):
+        export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b"])

@@ -129,11 +129,14 @@ def test_a_training_with_teachers_goes_on(tmp_path: Path) -> None:
 
 def test_teachers_that_read_something_else(tmp_path: Path) -> None:
     alone, related = models(tmp_path)
-    with pytest.raises(ValueError, match=r"related\.onnx: expected a teacher that tells the kinds of light and reads"):
+    words = r"expected a teacher that reads what the recipe's network does, "
+    with pytest.raises(ValueError, match=rf"related\.onnx: \w+: {words}at most \w+, got \w+$"):
         read_teachers([alone, related], ALONE)
+    with pytest.raises(ValueError, match=rf"alone\.onnx: support: {words}{SPEC.support + 1}, got {SPEC.support}$"):
+        read_teachers([alone], dataclasses.replace(SPEC, support=SPEC.support + 1))
     torch.manual_seed(0)
     write_model(CompactNetwork(1, 9, 1).eval(), ALONE, tmp_path / "one.onnx", {})
-    with pytest.raises(ValueError, match=r"one\.onnx: .*which tells no kinds"):
+    with pytest.raises(ValueError, match=r"one\.onnx: .*tells the kinds of light, got one that does not"):
         read_teachers([tmp_path / "one.onnx"], SPEC)
     with pytest.raises(FileNotFoundError, match=r"none\.onnx"):
         read_teachers([tmp_path / "none.onnx"], SPEC)

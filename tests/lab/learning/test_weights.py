@@ -129,6 +129,18 @@ def test_wrong_state(tmp_path: Path, changes: dict[str, Any], message: str) -> N
     assert not (tmp_path / "model.onnx").exists()
 
 
+def test_a_wrong_bit_in_the_former_format_is_told(tmp_path: Path) -> None:
+    """Its tensors name their storages, which follow under these names; torch asserts that they are the same."""
+    weights, state = tmp_path / "weights.pt", random_network().state_dict()
+    torch.save(state, weights, _use_new_zipfile_serialization=False)
+    key = str(next(iter(state.values())).untyped_storage()._cdata).encode()
+    content = weights.read_bytes()
+    place = content.index(key) + len(key) - 1
+    weights.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+    with pytest.raises(ValueError, match=r"weights\.pt: expected a plain torch state dict .* torch cannot read"):
+        import_weights(weights, tmp_path / "model.onnx")
+
+
 def test_missing_weights(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such file of weights"):
         import_weights(tmp_path / "none.pt", tmp_path / "model.onnx")

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, Sequence
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
+from foreglow.outputs import check_new
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 from foreglow.whole_files import make_folder, together, write_atomic
@@ -76,7 +77,7 @@ def export_mot(
     Raises:
         FileNotFoundError: If a label file is missing.
         ValueError: If a label file is broken, the run lacks an image, no sequence has a light, `name` is a path, or a
-            file is there that is not of an earlier export of this split.
+            file is there that is not of an earlier export: of this split, or of others in the same folder.
         OSError: If a file cannot be written.
     """
     if not name or name != Path(name).name or name == "..":
@@ -98,6 +99,8 @@ def export_mot(
     if not num_lights:
         raise ValueError(f"{dataset.root}: expected a sequence with a labelled light, found none")
     _check_own(files)
+    if not any(folder.glob(f"gt/*/{INFO_NAME}")):
+        check_new(str(folder), folder)
     with together():
         for path, text in files.items():  # once all is known to be sound
             make_folder(path.parent)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
-import pickle
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import torch
 
-from foreglow.lab.learning.kept_files import check_torch_file
+from foreglow.lab.learning.kept_files import read_torch_file
 from foreglow.lab.learning.training_progress import Epoch
 from foreglow.whole_files import write_atomic
 from foreglow.wording import shortened
@@ -91,8 +90,7 @@ def _whole_checkpoint(path: Path) -> Checkpoint | None:
     if not path.exists():
         return None
     with whole(path.parent):
-        check_torch_file(path)
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        content = read_torch_file(path)
         if content.pop("format") != _FORMAT:
             raise ValueError("another format")
         checkpoint = Checkpoint(**content)
@@ -109,10 +107,7 @@ def whole(folder: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (
-        *(pickle.UnpicklingError, RuntimeError, EOFError, OSError),
-        *(ValueError, LookupError, AttributeError, TypeError),
-    ) as error:
+    except (RuntimeError, EOFError, OSError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(
             f"{folder / NAME}: expected a whole checkpoint, found it damaged; remove it to start anew"
         ) from error

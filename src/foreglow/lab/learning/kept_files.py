@@ -12,9 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.files import MIB, check_file
+from foreglow.plugins import first_line_of
 
 END_BYTES = 64 << 10
 """Of the end of a PNG, which is where the checksum of all its pixels is."""
+
+
+class UnreadableError(ValueError):
+    """A file that torch cannot read as plain values; its cause is what torch raised."""
+
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _ZIP = b"PK\x03\x04"
@@ -84,3 +90,24 @@ def check_torch_file(path: Path) -> None:
             is_whole = False
     if not is_whole:
         raise ValueError(f"{path}: expected a whole checkpoint, found it damaged")
+
+
+def read_torch_file(path: Path) -> Any:
+    """What `torch.save` wrote at `path`, on the CPU; code in the file is never executed.
+
+    Raises:
+        UnreadableError: If torch cannot read it, whatever it raises: in its format before version 1.6, which has no
+            checksum, every flipped bit reaches its code.
+        ValueError: If a part of it is not what was written, or it is no regular file.
+        OSError: If there is no such file, or it cannot be read.
+    """
+    import torch
+
+    check_torch_file(path)
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception as error:
+        reason = first_line_of(error) or type(error).__name__
+        raise UnreadableError(f"{path}: expected a file of torch that is whole ({reason})") from error

@@ -26,13 +26,19 @@ def read_teachers(models: Sequence[Path], spec: InputSpec) -> tuple[StartingPoin
     """
     teachers = tuple(map(read_model, models))
     for teacher in teachers:
-        read = dataclasses.replace(teacher.inputs, num_features=spec.num_features, together=spec.together)
-        is_less = teacher.inputs.num_features <= spec.num_features and teacher.inputs.together <= spec.together
-        if read != spec or not is_less or not teacher.has_kinds:
-            raise ValueError(
-                f"{teacher.name}: expected a teacher that tells the kinds of light and reads no more than {spec}, got "
-                f"{teacher.inputs}" + ("" if teacher.has_kinds else ", which tells no kinds")
-            )
+        if not teacher.has_kinds:
+            raise ValueError(f"{teacher.name}: expected a teacher that tells the kinds of light, got one that does not")
+        for field in dataclasses.fields(spec):
+            found, wanted = getattr(teacher.inputs, field.name), getattr(spec, field.name)
+            if field.name in ("num_features", "together"):
+                is_right, at_most = found <= wanted, "at most "
+            else:
+                is_right, at_most = found == wanted, ""
+            if not is_right:
+                raise ValueError(
+                    f"{teacher.name}: {field.name}: expected a teacher that reads what the recipe's network does, "
+                    f"{at_most}{wanted}, got {found}"
+                )
     return teachers
 
 

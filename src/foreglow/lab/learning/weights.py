@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from foreglow.classifier.session import open_session
 from foreglow.lab.learning.export import SIZE_PX, Layers, layers_from_state, write_onnx
-from foreglow.lab.learning.kept_files import check_torch_file
+from foreglow.lab.learning.kept_files import UnreadableError, read_torch_file
 from foreglow.plugins import words_of
 
 
@@ -93,21 +93,13 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         ) from error
     from foreglow.lab.learning.networks import ArtifactNetwork
 
-    check_torch_file(path)
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        EOFError,
-        ValueError,
-        LookupError,
-        AttributeError,
-        TypeError,
-    ) as error:
+        state = read_torch_file(path)
+    except UnreadableError as error:
         # What torch says is long, has escape codes, and advises to run the code in the file.
-        other = re.search(r"GLOBAL ([\w.]+)", words_of(error)) if isinstance(error, pickle.UnpicklingError) else None
-        found = f"that holds {other[1]}" if other else f"that torch cannot read ({type(error).__name__})"
+        cause = error.__cause__
+        other = re.search(r"GLOBAL ([\w.]+)", words_of(cause)) if isinstance(cause, pickle.UnpicklingError) else None
+        found = f"that holds {other[1]}" if other else f"that torch cannot read ({type(cause).__name__})"
         raise ValueError(f"{path}: expected a plain torch state dict without code, got a file {found}") from error
     if not isinstance(state, Mapping):
         raise ValueError(f"{path}: expected a state dict, got {type(state).__name__}")

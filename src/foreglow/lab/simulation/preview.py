@@ -16,7 +16,7 @@ from foreglow.files import read_toml
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.scenes.scene import Scene, scene_to_toml
 from foreglow.lab.simulation.writing.dataset import Progress
-from foreglow.outputs import check_made_together
+from foreglow.outputs import check_made_together, check_new
 from foreglow.whole_files import atomic_path, together, write_atomic
 
 KIND_BGR: dict[str, Colour] = {
@@ -54,13 +54,15 @@ def preview(
         progress: Called after every frame, as for data sets.
 
     Raises:
-        ValueError: If one of the files is there without the others, or `preview.toml` is no scene: they are of
-            something else.
+        ValueError: If one of the files is there without the others, `preview.toml` is no scene, or other files are
+            there without it: they are of something else.
         OSError: If a file cannot be written.
     """
     sheet, film, mark = folder / "contact_sheet.png", folder / "drive.mp4", folder / "preview.toml"
     check_made_together((sheet, film, mark))
-    if mark.exists() and not _is_scene(mark):
+    if not mark.exists():
+        check_new(str(folder), folder)
+    elif not _is_scene(mark):
         raise ValueError(f"{mark}: expected the scene of an earlier preview, or nothing; choose another folder")
     shown = {round(number) for number in np.linspace(0, scene.num_frames - 1, NUM_COLUMNS * NUM_ROWS)}
     tone: Tone | None = None

@@ -12,7 +12,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
-from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study, prepare
+from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -174,33 +174,6 @@ def test_a_line_that_was_cut_off_is_left_out(straight: Tuning, data: Path, tmp_p
     assert drawn(again.trials)[:2] == drawn(straight.trials)[:2]
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda line: line.replace(b",", b"*", 1),
-        lambda line: b"garbage\n",  # noqa: ARG005
-        lambda line: b"\xff" + line,
-        lambda line: line[:-1],  # two records in one line
-        lambda line: b"[" * 100_000 + b"\n",  # noqa: ARG005
-        lambda line: line.replace(b"worker_id", b"vorker_id"),
-        lambda line: line.replace(b'"op_code":', b'"op_code":"'),
-    ],
-)
-def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
-    journal = tmp_path / "study.journal"
-    plan = StudyPlan(str(journal), "name", TuningSettings())
-    prepare(open_study(plan), plan)
-    first, second, *others = journal.read_bytes().splitlines(keepends=True)
-    journal.write_bytes(b"".join([first, damage(second), *others]))
-    before = journal.read_bytes()
-    expected = (
-        r"study\.journal: line 2: expected a whole record of a search; choose another folder or storage, or remove"
-    )
-    with pytest.raises(ValueError, match=expected):
-        open_study(plan)
-    assert journal.read_bytes() == before
-
-
 @pytest.mark.parametrize(("code", "what"), [(0, "study 0"), (4, "trial 2")])
 def test_a_lost_beginning_of_a_search_or_of_a_trial_is_told(data: Path, tmp_path: Path, code: int, what: str) -> None:
     """Optuna passes over what follows from it: the search began anew without a word."""
@@ -226,17 +199,6 @@ def test_a_record_of_a_trial_that_is_lost_is_told(data: Path, tmp_path: Path, co
     journal.write_bytes(b"".join(kept))
     with pytest.raises(ValueError, match=r"study\.journal: trial \d: expected all its parameters and its measurement"):
         searched(data, tmp_path, 5)
-
-
-def test_a_record_that_optuna_cannot_read(tmp_path: Path) -> None:
-    journal = tmp_path / "study.journal"
-    plan = StudyPlan(str(journal), "name", TuningSettings())
-    prepare(open_study(plan), plan)
-    journal.write_bytes(journal.read_bytes().replace(b'"study_id"', b'"study_ie"'))
-    with pytest.raises(
-        ValueError, match=r"study\.journal: expected whole records of a search: 'study_id'; choose another folder"
-    ):
-        open_study(plan)
 
 
 def test_a_lock_that_a_killed_process_left_is_broken_without_a_word(
@@ -289,16 +251,6 @@ def test_machines_share_a_database(data: Path, tmp_path: Path) -> None:
     assert not list(tmp_path.glob("*/study.journal"))
 
 
-@pytest.mark.parametrize("content", [b"my only notes\n", b'{"sequences": []}\n', b"{"])
-def test_a_file_that_is_no_journal_stays_as_it_is(tmp_path: Path, content: bytes) -> None:
-    notes = tmp_path / "notes.txt"
-    notes.write_bytes(content)
-    with pytest.raises(ValueError, match=r"notes\.txt: expected a new file, or the journal of a search"):
-        open_study(StudyPlan(str(notes), "name", TuningSettings()))
-    assert notes.read_bytes() == content
-    assert list(tmp_path.iterdir()) == [notes]
-
-
 @pytest.mark.parametrize("storage", ["nosuch://me:se@cret@host/x", "nosuch://:se@cret@host:1/x?y=z"])
 def test_the_password_of_a_storage_is_not_shown(storage: str) -> None:
     with pytest.raises(ValueError, match=r"^storage: nosuch://(me)?:\*\*\*@host") as refused:
@@ -329,6 +281,31 @@ def test_a_database_of_something_else_stays_as_it_is(tmp_path: Path, content: by
     with pytest.raises(ValueError, match=r"drive\.db3: expected a new file, or a database of searches"):
         open_study(StudyPlan(f"sqlite:///{path}", "name", TuningSettings()))
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("storage", "reason"),
+    [
+        (
+            "http://x",
+            "http://x: expected the URL of a database that can be opened, such as sqlite:///FILE, or a file: ",
+        ),
+        ("redis://localhost", "redis://localhost: expected the URL of a database"),
+        ("sqlite:////proc/none/x", "sqlite:////proc/none/x: expected the URL of a database"),
+        ("sqlite:///{notes}", "notes.txt: expected a new file, or a database of searches"),
+        ("{notes}", "notes.txt: expected a new file, or the journal of a search"),
+    ],
+)
+def test_a_storage_is_looked_at_before_frames_are_decoded(
+    data: Path, tmp_path: Path, storage: str, reason: str
+) -> None:
+    notes = tmp_path / "notes.txt"
+    notes.write_text("my only notes\n")
+    refused = complaint(
+        "tune", data, "--trials", 2, "--out", tmp_path / "out", "--storage", storage.format(notes=notes)
+    )
+    assert reason in refused
+    assert list(tmp_path.iterdir()) == [notes]
 
 
 def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:

@@ -63,6 +63,14 @@ def test_another_data_set_is_neither_overwritten_nor_taken_for_ours(name: str, a
     assert [path.name for path in (tmp_path / "out").rglob("*") if path.is_file()] == [Path(name).name]
 
 
+@pytest.mark.parametrize("name", ["notes.txt", "summary.json", "photos/a.jpg"])
+def test_an_export_goes_into_a_new_folder(name: str, annotated: Path, tmp_path: Path) -> None:
+    write(tmp_path / "out" / name, "mine")
+    with pytest.raises(ValueError, match="out: expected a new folder, or one with earlier results of this command; "):
+        export_yolo(annotated, tmp_path / "out", size_px=48)
+    assert [path.name for path in (tmp_path / "out").rglob("*") if path.is_file()] == [Path(name).name]
+
+
 def test_labels_that_changed_since_are_exported_again(annotated: Path, tmp_path: Path) -> None:
     export_yolo(annotated, tmp_path / "out", size_px=48)
     exported = tmp_path / "out/labels/val/000011.txt"

@@ -17,6 +17,7 @@ from foreglow.lab.learning.tuning.objectives import PAPER, Parameters
 from foreglow.lab.learning.tuning.study import (
     StudyPlan,
     TuningSettings,
+    check_storage,
     importances,
     num_finished,
     open_study,
@@ -122,11 +123,13 @@ def tune(
 
     folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
     splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()
+    storage = settings.storage or str(out / "study.journal")
+    check_storage(storage)
     material = read_material(
         splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
     )
     name = f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}"
-    plan = StudyPlan(settings.storage or str(out / "study.journal"), name, settings)
+    plan = StudyPlan(storage, name, settings)
     started_s = time.monotonic()
     study = open_study(plan)
     prepare(study, plan)

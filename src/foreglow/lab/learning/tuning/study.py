@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import json
 import math
 import os
 import re
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from foreglow.lab.learning.tuning.journal import FIRST_BYTES, WAYS_OUT, NoJournalError, check_journal
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, PAPER, SPACES, Space
 from foreglow.plugins import first_line_of
@@ -36,14 +36,6 @@ STALE_S = 600.0
 IMPORTANCE_TRIALS = 20
 """Smallest number of finished trials for which importances are meaningful."""
 
-
-_JOURNAL = b'{"op_code":'
-"""With this each line of a journal begins."""
-
-_BEGINS_STUDY, _BEGINS_TRIAL = 0, 4
-"""What Optuna calls these records (`op_code`); studies and trials have the numbers in which they began."""
-
-_WAYS_OUT = "choose another folder or storage, or remove this file"
 
 _SQLITE = "sqlite:///"
 """The begin of a URL of a database in a file."""
@@ -140,8 +132,37 @@ def open_study(plan: StudyPlan) -> optuna.Study:
     except Exception as error:  # errors of SQLAlchemy, which need not be installed
         if "://" not in plan.storage:  # a record with another field or number
             reason = first_line_of(error) or type(error).__name__
-            raise ValueError(f"{plan.storage}: expected whole records of a search: {reason}; {_WAYS_OUT}") from error
-        raise ValueError(_without_password(f"storage: {plan.storage}: {error}", plan.storage)) from None
+            raise ValueError(f"{plan.storage}: expected whole records of a search: {reason}; {WAYS_OUT}") from error
+        raise _unusable(plan.storage, error) from None
+
+
+def check_storage(storage: str) -> None:
+    """Checks that a storage can be used, before work is done for it; a database is made ready for studies.
+
+    Raises:
+        ModuleNotFoundError: If a package for the database is not installed.
+        ValueError: If it cannot.
+    """
+    from optuna.storages import RDBStorage
+
+    if "://" not in storage:
+        check_journal(Path(storage))
+        return
+    try:
+        if storage.startswith(_SQLITE):
+            check_database(Path(storage.removeprefix(_SQLITE)))
+        RDBStorage(storage).engine.dispose()
+    except (ModuleNotFoundError, OSError, NoJournalError):
+        raise
+    except Exception as error:  # as in `open_study`
+        raise _unusable(storage, error) from None
+
+
+def _unusable(url: str, error: Exception) -> ValueError:
+    """The error on the URL of a database that cannot be opened."""
+    reason = first_line_of(error) or type(error).__name__
+    expected = "expected the URL of a database that can be opened, such as sqlite:///FILE, or a file"
+    return ValueError(_without_password(f"storage: {url}: {expected}: {reason}", url))
 
 
 def _without_password(message: str, url: str) -> str:
@@ -153,51 +174,6 @@ def _without_password(message: str, url: str) -> str:
     found = re.match(r"[^/]*://[^:/@]*:(.*)@", url)
     hidden = message.replace(f":{found[1]}@", ":***@") if found and found[1] else message
     return " ".join(hidden.split())
-
-
-class NoJournalError(ValueError):
-    """A file that is to be continued as a journal is something else."""
-
-
-def check_journal(path: Path) -> None:
-    """Checks that a journal can be begun or continued at `path`: Optuna appends to whatever is there.
-
-    Raises:
-        NoJournalError: If there is something else, or a line of it is damaged.
-    """
-    if not path.exists():
-        return
-    if not path.is_file():
-        raise NoJournalError(f"{path}: expected a file for a search's journal, got something else")
-    with path.open("rb") as file:
-        if file.read(len(_JOURNAL)) not in (b"", _JOURNAL):
-            raise NoJournalError(f"{path}: expected a new file, or the journal of a search, which begins with its line")
-        file.seek(0)
-        names, num_trials = set[str](), 0
-        for number, line in enumerate(file, start=1):
-            if not line.endswith(b"\n"):  # it is being written, or never was
-                break
-            record = _record(line)
-            if record is None:
-                raise NoJournalError(f"{path}: line {number}: expected a whole record of a search; {_WAYS_OUT}")
-            study, trial = record.get("study_id", -1), record.get("trial_id", -1)
-            if not (-1 <= study < len(names) and -1 <= trial < num_trials):
-                what = f"study {study}" if study >= len(names) else f"trial {trial}"
-                raise NoJournalError(f"{path}: line {number}: expected a line before that begins {what}; {_WAYS_OUT}")
-            if record["op_code"] == _BEGINS_STUDY:
-                names.add(str(record.get("study_name")))
-            num_trials += record["op_code"] == _BEGINS_TRIAL
-
-
-def _record(line: bytes) -> dict[str, Any] | None:
-    """A line of a journal as Optuna writes it; None for another one. A wrong digit in it is not noticed."""
-    try:
-        record = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    is_one = isinstance(record, dict) and type(record.get("op_code")) is int
-    is_one = is_one and isinstance(record.get("worker_id"), str)
-    return record if is_one and all(type(record.get(name, 0)) is int for name in ("study_id", "trial_id")) else None
 
 
 def check_database(path: Path) -> None:
@@ -235,7 +211,7 @@ def _storage(storage: str) -> BaseStorage | str:
     lock.acquire()
     try:  # a line that a killed process left unfinished: what follows would become part of it
         data = path.read_bytes()
-        if data.startswith(_JOURNAL):
+        if data.startswith(FIRST_BYTES):
             os.truncate(path, data.rfind(b"\n") + 1)
     finally:
         lock.release()
@@ -280,7 +256,13 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
         if not _is_measured(trial, plan.settings.searched):
             raise ValueError(
                 f"{plan.shown_storage}: trial {trial.number}: expected all its parameters and its measurement, a "
-                f"record is missing, wrong or in another place; {_WAYS_OUT}"
+                f"record is missing, wrong or in another place; {WAYS_OUT}"
+            )
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.PRUNED,)):
+        if len(trial.values or ()) > 1:
+            raise ValueError(
+                f"{plan.shown_storage}: trial {trial.number}: expected at most one loss, got {len(trial.values)}; "
+                f"{WAYS_OUT}"
             )
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not _is_alive(trial):

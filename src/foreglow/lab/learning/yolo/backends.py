@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import pickle
 from abc import ABC, abstractmethod
 from pathlib import Path
 from types import ModuleType
@@ -20,7 +19,7 @@ from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
 from foreglow.files import MIB, read_text
-from foreglow.lab.learning.kept_files import check_torch_file
+from foreglow.lab.learning.kept_files import check_torch_file, read_torch_file
 from foreglow.plugins import first_line_of
 
 MIN_SCORE = 0.01
@@ -280,14 +279,11 @@ def count_multiply_adds(network: Any, size_px: int) -> int:
 
 def _read_checkpoint(checkpoint: Path) -> dict[str, Any]:
     """Number of the last epoch and the best score in libreyolo's checkpoint; a killed process may have left half."""
-    import torch
-
     try:
-        check_torch_file(checkpoint)
-        content = torch.load(checkpoint, map_location="cpu", weights_only=True)
+        content = read_torch_file(checkpoint)
         return {name: content[name] for name in ("epoch", "best_mAP50_95")}
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, LookupError, TypeError) as error:
-        reason = first_line_of(error) or type(error).__name__
+    except (ValueError, LookupError, TypeError) as error:
+        reason = first_line_of(error.__cause__ or error) or type(error).__name__
         raise ValueError(f"{checkpoint}: expected a checkpoint ({reason}); remove it to begin again") from error
 
 

@@ -20,6 +20,7 @@ from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
+from foreglow.outputs import check_new
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
@@ -93,8 +94,8 @@ def export_yolo(
 
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
-        ValueError: If a file is broken, there is no such preset or split, `folder` holds another export, or another run
-            is writing into it.
+        ValueError: If a file is broken, there is no such preset or split, `folder` holds something other than this
+            export, or another run is writing into it.
         OSError: If the disk is full; the message names the file.
     """
     for name in splits:
@@ -258,7 +259,7 @@ def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
 
 
 def _claim(folder: Path, settings: ExportSettings) -> None:
-    """ValueError if `folder` holds an export with other settings, or another data set."""
+    """ValueError if `folder` holds an export with other settings, another data set, or anything else."""
     path = folder / SETTINGS_NAME
     if path.exists():
         check_claim(path, settings, read_json(path, ExportSettings), "export")
@@ -267,6 +268,7 @@ def _claim(folder: Path, settings: ExportSettings) -> None:
             if (folder / name).exists():
                 words = "expected a folder without a YOLO data set that is not of export-yolo"
                 raise ValueError(f"{folder / name}: {words}")
+        check_new(str(folder), folder)
 
 
 def _has_begun(work: Path, settings: ExportSettings) -> bool:
