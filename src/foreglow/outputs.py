@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foreglow.own_files import FileKind, is_own
+from foreglow.own_files import FileKind, is_left, is_own, is_result_of_run
 from foreglow.whole_files import PARTIAL, partial_path, replaces_only
 
 RESULT_NAMES = (
@@ -420,5 +420,26 @@ def _has_earlier(folder: Path, mark: str) -> bool:
     """Whether a folder has an earlier run, training or search, also one that was interrupted."""
     if any(is_own(folder / name) for name in KINDS[mark].begun):
         return True
-    is_begun = mark == RUN and any(partial_path(folder / name).exists() for name in RESULT_NAMES)
+    is_begun = mark == RUN and any(path.stat().st_size for path in _left_in(folder))
     return is_begun or (mark == RUN and _has_report(folder))
+
+
+def clear_left(folder: Path) -> None:
+    """Removes what a run that was killed left in `folder` under the partial names of results.
+
+    Raises:
+        ValueError: If there is something else of such a name, which stays; nothing is removed then.
+        OSError: If a file cannot be removed; the message names it.
+    """
+    left = _left_in(folder)
+    for path in (partial_path(folder / name) for name in RESULT_NAMES if is_result_of_run(name)):
+        if path not in left and (path.exists() or path.is_symlink()):
+            raise ValueError(
+                f"{path}: expected nothing there but what an interrupted run left; choose another folder, or move it"
+            )
+    for path in reversed(left):  # the frames last, by which the others are known
+        path.unlink()
+
+
+def _left_in(folder: Path) -> list[Path]:
+    return [path for path in (partial_path(folder / name) for name in RESULT_NAMES) if is_left(path)]
