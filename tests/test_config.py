@@ -188,7 +188,7 @@ def test_the_detector_alone() -> None:
     [
         ("low_below_mps = 50.0", "low_below_mps: expected at most high_above_mps, 9.72222, got 50"),
         ("brightening_s = 1e-9", "brightening_s: Input should be greater than or equal to 0.1"),
-        ("led_limits_cd = []", "led_limits_cd: Tuple should have at least 1 item"),
+        ("led_limits_cd = []", "led_limits_cd: List should have at least 1 item"),
         ("led_limits_cd = [[1.0, 100.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
         ("led_limits_cd = [[0.0, 100.0], [0.0, 200.0]]", "led_limits_cd: expected ranges that grow from 0 on"),
         ("led_limits_cd = [[0.0, 100.0], [50.0, 90.0]]", "led_limits_cd: expected ranges that grow from 0 on"),

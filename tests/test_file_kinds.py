@@ -183,11 +183,14 @@ def test_a_file_that_somebody_writes_meanwhile_stays(
         (("calibrate", "convert", CAMERA, *MOUNT, "--out"), "camera.toml"),
     ):
         path = tmp_path / name
-        kept = path.with_name(f"{name}.partial")
+        others = path.with_name(f"{name}.partial")
+        others.write_text("of somebody else")
+        kept = path.with_name(f"{path.stem}.1{path.suffix}.partial")
         said = foreglow_command(*words, path)
         assert said.exit_code == 2, (name, said.output)
         assert f"{path}: somebody wrote another file there meanwhile; the new one is in {kept}" in said.stderr
         assert path.read_text() == "notes", name
+        assert others.read_text() == "of somebody else", name
         path.unlink()
         kept.rename(path)
         kinds = [kind for kind in KINDS.values() if path.suffix in kind.suffixes]

@@ -13,7 +13,8 @@ import pytest
 
 from foreglow.folder_lock import FolderLock, locked
 from foreglow.lab.learning.recipes import recipe, recipe_to_toml
-from foreglow.outputs import KINDS, TRAINING, TUNING, check_no_parts, check_outputs, check_own, running
+from foreglow.outputs import check_outputs, running
+from foreglow.own_folders import KINDS, TRAINING, TUNING, check_no_parts, check_own
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from tests.cli.commands import PNG, complaint, foreglow_command

@@ -33,8 +33,9 @@ from typer.models import OptionInfo
 
 from foreglow.folder_lock import locked
 from foreglow.inputs import named_by
-from foreglow.outputs import check_kinds, check_no_parts, check_outputs, exists, running
+from foreglow.outputs import check_kinds, check_outputs, exists, running
 from foreglow.own_files import FileKind
+from foreglow.own_folders import check_no_parts
 
 MAX_INTEGER = 2**31 - 1
 """No count, size or seed on a command line is greater."""

@@ -6,7 +6,8 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from foreglow.outputs import RESULT_NAMES, exists
+from foreglow.outputs import exists
+from foreglow.own_folders import RESULT_NAMES
 
 SPLIT_PARTS = ("images", "labels")
 """Folders of a split in PVDN's format; one sequence of it is read with the labels of all."""

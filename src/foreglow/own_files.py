@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from foreglow.whole_files import PARTIAL, partial_path
+
 MAX_LINE = 1 << 24
 """Bytes that are read of a first line; one of a run holds the boxes and tracks of an image."""
 
@@ -37,6 +39,34 @@ def is_own(path: Path) -> bool:
         return known(path)
     except (OSError, ValueError, RecursionError):  # the file may be anything
         return False
+
+
+def is_left(path: Path) -> bool:
+    """Whether a run that was killed left `path`, under the partial name of a result: by what it and its frames hold.
+
+    Its frames lie beside it, also under their partial name, and there is no summary yet unless the run wrote over an
+    earlier one. A link is none of ours.
+    """
+    begins = _BEGINNINGS.get(path.name.removesuffix(PARTIAL))
+    frames = path.with_name("frames.jsonl")
+    try:
+        if begins is None or not _begins(path, begins):
+            return False
+        if partial_path(frames).exists():
+            return _begins(partial_path(frames), _FRAMES)
+        return _begins(frames, _FRAMES) and not path.with_name("summary.json").exists()
+    except OSError:  # the file may be anything
+        return False
+
+
+def is_result_of_run(name: str) -> bool:
+    """Whether a run writes the result called `name` under its partial name."""
+    return name in _BEGINNINGS
+
+
+def _begins(path: Path, begins: re.Pattern[bytes]) -> bool:
+    """Whether a file is ours by how it begins, or empty."""
+    return path.is_file() and not path.is_symlink() and (not _head(path) or begins.match(_head(path)) is not None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +151,24 @@ _CONTENTS: Mapping[str, Callable[[Path], bool]] = {
     "results.json": lambda path: _has(json.loads(_whole(path)), "made_with"),
 }
 """By name; of the files by which an earlier run, training, search or report is known."""
+
+_FRAMES = re.compile(rb'\{"frame":\s?-?\d+,\s?"')
+_PICTURE = re.compile(rb"\x89PNG\r\n")
+_VIDEO = re.compile(rb"....ftyp", re.DOTALL)
+_BEGINNINGS: Mapping[str, re.Pattern[bytes]] = {
+    "frames.jsonl": _FRAMES,
+    "times.jsonl": _FRAMES,
+    "overlay.mp4": _VIDEO,
+    "overlay.png": _PICTURE,
+    "beam.mp4": _VIDEO,
+    "beam.png": _PICTURE,
+    "beam.asc": re.compile(rb"date "),
+    "beam.blf": re.compile(rb"LOGG"),
+    "beam.log": re.compile(rb"\(\d"),
+    "config.toml": re.compile(rb"\[proposals\]\n"),
+    "summary.json": re.compile(rb' +\Z|\{\n  "source"'),  # spaces keep room
+}
+"""By name, how the results of a run begin, also while they are written."""
 
 
 def _is_picture(title: str) -> Callable[[Path], bool]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import itertools
 import os
 import re
 import threading
@@ -149,7 +150,7 @@ def replaces_only(path: Path) -> None:
 
 
 def put(temporary: Path, whole: Path, name: Path) -> None:
-    """Renames a finished file; if somebody has written there since `replaces_only`, it gets the partial name instead.
+    """Renames a finished file; if somebody has written there since `replaces_only`, it gets a partial name instead.
 
     Args:
         temporary: The file.
@@ -161,10 +162,28 @@ def put(temporary: Path, whole: Path, name: Path) -> None:
         OSError: If it cannot be renamed.
     """
     if whole in _FOUND and _identity(whole) not in (_FOUND.pop(whole), None):
-        temporary.replace(partial_path(whole))
-        words = f"somebody wrote another file there meanwhile; the new one is in {partial_path(name)}"
+        kept = temporary.absolute()
+        if kept != partial_path(whole):
+            kept = _free_partial(whole)
+            temporary.replace(kept)
+        words = f"somebody wrote another file there meanwhile; the new one is in {name.with_name(kept.name)}"
         raise FileExistsError(errno.EEXIST, words, str(name))
     temporary.replace(whole)
+
+
+def _free_partial(path: Path) -> Path:
+    """The partial name of a file, or the first such name with a number that nobody has; an empty file takes it."""
+    for kept in itertools.chain([partial_path(path)], numbered(partial_path(path))):
+        with contextlib.suppress(FileExistsError):
+            kept.touch(exist_ok=False)
+            return kept
+    raise AssertionError
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """Names beside `path` that ends with two suffixes, such as `FILE.1.mcap.partial` for `FILE.mcap.partial`."""
+    stem, suffixes = path.with_suffix("").stem, "".join(path.suffixes[-2:])
+    return (path.with_name(f"{stem}.{number}{suffixes}") for number in itertools.count(1))
 
 
 def _identity(path: Path) -> Identity:

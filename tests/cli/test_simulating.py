@@ -253,7 +253,10 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--scene", "nowhere.toml", "--out", "unused"), "nowhere.toml: no such"),
         (("--out", "unused", "--camera", "pinhole"), "--camera: expected one of"),
         (("--out", "unused", "--camera", "nowhere.toml"), "nowhere.toml: no such"),
-        (("--out", "unused", "--camera", "phone", "--size", "640x480"), "camera phone: view.focal_px: expected up to"),
+        (
+            ("--out", "unused", "--camera", "phone", "--size", "640x480"),
+            "--camera phone: view.focal_px: expected up to",
+        ),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "paper,paper"), "--shares: expected each once, paper comes twice"),

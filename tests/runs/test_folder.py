@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.config import config_to_toml, read_config
-from foreglow.outputs import RESULT_NAMES
+from foreglow.own_folders import RESULT_NAMES
 from foreglow.runs.folder import OutputFolder, part_sinks
 from foreglow.runs.summary_file import LiveSummary, read_summary
 from foreglow.runs.tally import Tally
@@ -87,12 +87,80 @@ def test_publishing_removes_results_of_an_earlier_run_and_nothing_else(tmp_path:
     assert (tmp_path / "config.toml").read_text() == config_to_toml(REFERENCE)
 
 
-def test_publishing_removes_what_a_killed_run_left(tmp_path: Path) -> None:
-    (tmp_path / "overlay.mp4.partial").write_text("half")
+LEFT = {
+    "frames.jsonl": OLD.encode(),
+    "times.jsonl": b"",
+    "summary.json": b" " * 4096,
+    "config.toml": config_to_toml(REFERENCE).encode(),
+    "overlay.mp4": b"\0\0\0\x20ftypisom",
+    "overlay.png": b"\x89PNG\r\n\x1a\n",
+    "beam.mp4": b"",
+    "beam.png": b"",
+    "beam.asc": b"date Thu",
+    "beam.blf": b"LOGG",
+    "beam.log": b"(12.0) can0",
+}
+"""What a run that is killed may leave, without the ending of the names."""
+
+
+@pytest.mark.parametrize("is_published", [False, True])
+def test_what_a_killed_run_left_is_cleared(tmp_path: Path, is_published: bool) -> None:
+    for name, data in LEFT.items():
+        is_whole = is_published and name == "frames.jsonl"
+        (tmp_path / (name if is_whole else f"{name}.partial")).write_bytes(data)
     folder = OutputFolder(tmp_path)
     folder.write_text("frames.jsonl", "new")
     folder.publish(REFERENCE, SUMMARY)
     assert contents(tmp_path) == {"frames.jsonl": "new"}
+
+
+@pytest.mark.parametrize("has_run", [False, True])
+@pytest.mark.parametrize("name", LEFT)
+def test_a_file_of_somebody_else_with_a_partial_name_stays(tmp_path: Path, name: str, has_run: bool) -> None:
+    if has_run:
+        with OutputFolder(tmp_path) as folder:
+            folder.publish(REFERENCE, SUMMARY)
+    (tmp_path / "frames.jsonl.partial").write_bytes(b"")
+    path = tmp_path / f"{name}.partial"
+    path.write_text("my notes")
+    with pytest.raises(ValueError, match=rf"{name}\.partial: expected nothing there but what an interrupted run left"):
+        OutputFolder(tmp_path)
+    assert path.read_text() == "my notes"
+    assert (tmp_path / "frames.jsonl.partial").exists()
+
+
+def test_a_video_beside_a_complete_run_is_not_one_that_a_killed_run_left(tmp_path: Path) -> None:
+    with OutputFolder(tmp_path) as folder:
+        folder.publish(REFERENCE, SUMMARY)
+    path = tmp_path / "overlay.mp4.partial"
+    path.write_bytes(LEFT["overlay.mp4"])
+    with pytest.raises(ValueError, match=r"overlay\.mp4\.partial: expected nothing there"):
+        OutputFolder(tmp_path)
+    assert path.exists()
+
+
+def test_a_partial_name_makes_nobody_elses_results_those_of_a_run(tmp_path: Path) -> None:
+    (tmp_path / "overlay.mp4.partial").write_text("mine")
+    (tmp_path / "config.toml").write_text("mine")
+    with pytest.raises(ValueError, match=r"config\.toml: expected nothing there but earlier results"):
+        OutputFolder(tmp_path)
+
+
+def test_a_new_page_under_a_partial_name_stays(tmp_path: Path) -> None:
+    """Where somebody wrote the page meanwhile, the user was told that it is there."""
+    (tmp_path / "report.html.partial").write_text("page")
+    with OutputFolder(tmp_path) as folder:
+        folder.publish(REFERENCE, SUMMARY)
+    assert (tmp_path / "report.html.partial").read_text() == "page"
+
+
+def test_a_file_that_somebody_writes_under_a_partial_name_meanwhile_stays(tmp_path: Path) -> None:
+    folder = OutputFolder(tmp_path)
+    (tmp_path / "config.toml.partial").write_text("mine")
+    with pytest.raises(FileExistsError, match="of something else"):
+        folder.publish(REFERENCE, SUMMARY)
+    folder.discard()
+    assert contents(tmp_path) == {"config.toml.partial": "mine"}
 
 
 def test_an_error_in_its_block_leaves_nothing(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from foreglow.cli.app import app
 from foreglow.command_line import argument, file, folder, option, output_file, shared_folder, with_options
 from foreglow.folder_lock import locked
 from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WorkerOptions
-from foreglow.outputs import TRAINING, TUNING, check_outputs, check_own
+from foreglow.outputs import check_outputs
 from foreglow.own_files import ANNOTATION, MODEL, RANGE_MODEL
+from foreglow.own_folders import TRAINING, TUNING, check_own
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -49,10 +50,25 @@ def annotate(
     configuration = PipelineOptions(preset=preset, config=config).configuration()
     check_each_once(split or (), "--split")
     roots = splits_to_annotate(data, tuple(split or ()))
-    with locked({str(root): root / "labels" for root in roots}), StepProgress() as progress:
-        annotations = [
-            annotate_split(root, configuration, preset, workers=workers, progress=progress) for root in roots
-        ]
+    annotations: list[Annotation] = []
+    done: dict[Path, tuple[int, int]] = {}
+    try:
+        with locked({str(root): root / "labels" for root in roots}), StepProgress() as progress:
+            for root in roots:
+
+                def tell(task: str, num_done: int, num_all: int, root: Path = root) -> None:
+                    done[root] = num_done, num_all
+                    progress(task, num_done, num_all)
+
+                annotations.append(annotate_split(root, configuration, preset, workers=workers, progress=tell))
+    except BaseException as error:
+        for root, (num_done, num_all) in done.items():
+            if num_done < num_all:
+                told = f"a part is written, finished sequences with {num_done} of {num_all} images"
+                is_interrupted = isinstance(error, KeyboardInterrupt)  # beside an error there is no other complaint
+                words = f"{root / 'labels' / 'bounding_boxes'}: {told}; the same command continues from there"
+                typer.echo(words, err=is_interrupted)
+        raise
     if json_file is not None:
         numbers = {annotation.root.name: annotation.to_json() for annotation in annotations}
         write_json_results(json_file, numbers, indent=2)

@@ -197,6 +197,8 @@ class _Exposing:
     configs: tuple[DatasetConfig, ...]
     num_variants: int
     presets: tuple[str, ...]
+    origins: tuple[str, ...]
+    """Names or files of the cameras, as they were given."""
 
     @property
     def profiles(self) -> tuple[CameraProfile | None, ...]:
@@ -205,7 +207,8 @@ class _Exposing:
     def check(self, scenes: tuple[Scene, ...]) -> None:
         from foreglow.lab.simulation.drive import check_exposures
 
-        check_exposures(self.profiles, scenes, self.presets)
+        cameras = zip(self.origins, self.profiles, strict=True) if self.origins else ()
+        check_exposures({f"--camera {origin}": each for origin, each in cameras if each}, scenes, self.presets)
 
 
 def _exposing(config: DatasetConfig, camera: str | None, num_variants: int, shares: str | None) -> _Exposing | None:
@@ -216,7 +219,9 @@ def _exposing(config: DatasetConfig, camera: str | None, num_variants: int, shar
         return None
     presets = () if shares is None else listed("--shares", shares)
     profiles = (None,) if camera is None else read_profiles(camera)
-    return _Exposing(tuple(config.exposed_for(profile, presets) for profile in profiles), num_variants, presets)
+    origins = () if camera is None else tuple(part.strip() for part in camera.split(","))
+    configs = tuple(config.exposed_for(profile, presets) for profile in profiles)
+    return _Exposing(configs, num_variants, presets, origins)
 
 
 def _expose(scenes: tuple[Scene, ...], out: Path, exposing: _Exposing, workers: Workers, quality: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Self, TypeVar
 
@@ -97,4 +98,15 @@ def _first_complaint(model: type[BaseModel], error: ValidationError) -> str:
         owner = model if section is None else section.annotation
         known = owner.model_fields if isinstance(owner, type) and issubclass(owner, BaseModel) else {}
         return f"{field}: unknown" + (f", expected one of {', '.join(known)}" if known else "")
-    return f"{field}: {first['msg']}, got {shortened(first['input'])}"
+    return f"{field}: {_in_toml(first['msg'])}, got {shortened(first['input'])}"
+
+
+def _in_toml(words: str) -> str:
+    """A message of pydantic in the words of TOML.
+
+    >>> _in_toml("Input should be a valid dictionary or instance of Camera"), _in_toml("Input should be a valid tuple")
+    ('Input should be a table', 'Input should be a list')
+    """
+    words = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", words)
+    words = re.sub("a valid (tuple|list)", "a list", words.replace(" after validation", ""))
+    return re.sub("^Tuple should", "List should", words).replace("Field required", "expected one more value")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import shutil
 import uuid
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from typing import TypeVar
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import file_digest, json_text
 from foreglow.folder_lock import FolderLock
-from foreglow.outputs import RESULT_NAMES, RUN, check_own
+from foreglow.own_folders import RESULT_NAMES, RUN, check_own, clear_left
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary_file import LiveSummary, RunSummary
@@ -41,12 +42,12 @@ class OutputFolder:
     """
 
     def __init__(self, path: Path) -> None:
-        """Makes the folder `path` with its parents, and checks that it can be written to.
+        """Makes the folder `path` with its parents, checks it, and clears what a killed run left there.
 
         Raises:
             OSError: If it cannot be made or written to; the message names the path.
-            ValueError: If something there has the name of a result and is no file or not of a run, or another run is
-                writing into it.
+            ValueError: If something there has the name of a result, also the partial one, and is no file or not of a
+                run, or another run is writing into it.
         """
         self.path, self._home = path, path.absolute()  # a plug-in may go to another folder meanwhile
         self._partials: dict[str, Path] = {}
@@ -54,6 +55,7 @@ class OutputFolder:
         self._lock = FolderLock(path)
         try:
             check_own(path, RUN)
+            clear_left(path)
             self.write_text("frames.jsonl", "")
         except BaseException:
             self.discard()
@@ -72,14 +74,15 @@ class OutputFolder:
         """Path of the result called `name` until it is published; nothing is there the first time.
 
         Raises:
-            OSError: If what is there cannot be removed; the message names the path.
+            OSError: If somebody has written something there meanwhile; the message names the path.
         """
         if name not in RESULT_NAMES:
             raise ValueError(f"name: expected one of {', '.join(RESULT_NAMES)}, got {name!r}")
         if name not in self._partials:
             partial = partial_path(self.path / name)
-            with naming(self.path / name):
-                partial.unlink(missing_ok=True)  # what a killed run left, or a link to something of the user's
+            if partial.exists() or partial.is_symlink():
+                words = f"expected nothing there until the run ends, {partial.name} is of something else"
+                raise FileExistsError(errno.EEXIST, words, str(self.path / name))
             self._partials[name] = partial
         return self._partials[name]
 
@@ -153,7 +156,6 @@ class OutputFolder:
                 partial.replace(self.path / name)
             else:
                 (self.path / name).unlink(missing_ok=True)
-                partial_path(self.path / name).unlink(missing_ok=True)  # of a run that was killed
         self._partials.clear()
         self._lock.release()
         return summary

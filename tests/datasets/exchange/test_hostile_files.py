@@ -161,6 +161,16 @@ FILES = {
         video().replace("1,2", "1,2;5,6"),
         "track 0: frame 1: <points> points: expected one point of light 1, got 2",
     ),
+    "two points of a vehicle's track": (
+        ".xml",
+        video().replace("1,2", "1,2;5,6").replace("label='light'", "label='vehicle'"),
+        "track 0: frame 1: expected one point of a track in each frame, got 2",
+    ),
+    "two shapes of a track in a frame": (
+        ".xml",
+        video(inside="<points frame='1' points='7,8'/>"),
+        "track 0: frame 1: expected one shape of a track in each frame, got several",
+    ),
     "outside of a text": (
         ".xml",
         video().replace("points='1,2'", "points='1,2' outside='yes'"),

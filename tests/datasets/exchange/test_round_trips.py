@@ -301,6 +301,7 @@ def test_choices_and_numbers_without_a_point_are_counted(tmp_path: Path) -> None
         {"id": "a", "type": "choices", "from_name": "is", "value": {"choices": ["Rear", "direct"]}},
         {"id": "gone", "type": "number", "from_name": "oid", "value": {"number": 3}},
         {"id": "a", "type": "choices", "from_name": "oid", "value": {"choices": ["3"]}},
+        {"id": "a", "type": "number", "from_name": "iid", "value": {}},
         {"id": "road", "type": "polygonlabels", "from_name": "area", "value": {}},
         {"id": "road", "type": "number", "from_name": "oid", "value": {"number": 3}},
     ]
@@ -310,6 +311,7 @@ def test_choices_and_numbers_without_a_point_are_counted(tmp_path: Path) -> None
     assert found.lost == {
         "choice 'Rear'": 1,
         "'oid' of a point that is not there": 1,
+        "'iid' without its number": 1,
         "region of the type 'choices'": 1,
         "region of the type 'polygonlabels'": 1,
     }
@@ -462,5 +464,8 @@ def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: P
     boxes = Proposals(np.array([[10, 10, 30, 30]], np.int32))
     assert maker.make(now, boxes).features[0, 6] == 1  # whoever reads an image has the earlier one
     Path(before.path).unlink()
-    with pytest.raises(FileNotFoundError, match=r"000010_earlier\.png: no such image, expected that before id 10"):
+    with pytest.raises(
+        FileNotFoundError,
+        match=r"image_annotations\.json: image 10: earlier\.file_name: expected an image.*000010_earlier\.png",
+    ):
         own.read(10)

@@ -226,6 +226,20 @@ def test_missing_image(split: Path) -> None:
         annotate_split(split, PAPER)
 
 
+def test_the_command_tells_that_a_part_is_written(split: Path) -> None:
+    image = max((split / "images").rglob("*.png"))
+    kept = image.rename(image.with_suffix(".kept"))
+    said = foreglow_command("annotate", split)
+    words = f"{split / 'labels' / 'bounding_boxes'}: a part is written, finished sequences with "
+    assert f"{words}{NUM_ALL - NUM_IMAGES} of {NUM_ALL} images; the same command continues" in said.stdout
+    assert said.exit_code == 2
+    assert len(said.stderr.splitlines()) == 1
+    kept.rename(image)
+    said = foreglow_command("annotate", split)
+    assert said.exit_code == 0
+    assert "a part is written" not in said.output
+
+
 def test_splits_to_annotate(tmp_path: Path) -> None:
     data = make_night_set(tmp_path, ("train", "val"), num_images=1)
     train, val = data / "night" / "train", data / "night" / "val"

@@ -168,13 +168,19 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
             frame = number(shape.get("frame"), f"{origin}: frame") or 0
             if (outside := shape.get("outside", "0")) not in ("0", "1"):
                 raise ValueError(f"{origin}: outside: expected 0 or 1, got {shortened(outside)}")
+            if frame in seen:
+                raise ValueError(f"{origin}: frame {frame}: expected one shape of a track in each frame, got several")
             seen[frame] = outside == "1"
             if seen[frame]:
                 continue
             if frame not in marks:
                 steps = f" in steps of {frames.step}" if frames.step > 1 else ""
                 raise ValueError(f"{origin}: frame: expected {frames[0]} to {frames[-1]}{steps}, got {frame}")
-            marks[frame] += _marks(shape, track.get("label"), common, f"{origin}: frame {frame}", lost, track.get("id"))
+            where = f"{origin}: frame {frame}"
+            found = [*_marks(shape, track.get("label"), common, where, lost, track.get("id"))]
+            if len(found) > 1:
+                raise ValueError(f"{where}: expected one point of a track in each frame, got {len(found)}")
+            marks[frame] += found
         for frame, after in itertools.pairwise([*sorted(seen), frames.stop]):
             if not seen[frame]:
                 unknown.update(range(frame + frames.step, min(after, frames.stop), frames.step))

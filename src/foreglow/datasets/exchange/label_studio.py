@@ -128,6 +128,8 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
                     categories.append(CATEGORIES[choice])
                 else:
                     lost[f"category {shortened(choice)}"] += 1
+        elif region.type == "number" and region.value.get("number") is None:
+            lost[f"{shortened(region.from_name)} without its number"] += 1
         else:
             found = said.setdefault(key, {}).setdefault(region.from_name, region.value)
             if found != region.value:

@@ -161,7 +161,8 @@ class PVDN(LabelledSource):
             return None
         path = self.image_path(image_id).with_name(known.file_name)
         if not path.is_file():
-            raise FileNotFoundError(f"{path}: no such image, expected that before id {image_id}")
+            field = f"{self.root / 'labels' / 'image_annotations.json'}: image {image_id}: earlier.file_name"
+            raise FileNotFoundError(f"{field}: expected an image of the sequence, {path} is not there")
         return self._frame(image_id, path, known.age_ms / 1000)
 
     def _frame(self, image_id: int, path: Path, age_s: float) -> Frame:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, Sequence
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
-from foreglow.outputs import check_new
+from foreglow.own_folders import check_new
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 from foreglow.whole_files import make_folder, together, write_atomic

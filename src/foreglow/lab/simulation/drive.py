@@ -343,18 +343,23 @@ def _with_shares(known: DriveFrame, camera: DriveCamera, proposers: Mapping[str,
 
 
 def check_exposures(
-    profiles: Sequence[CameraProfile | None], scenes: Sequence[Scene], presets: Sequence[str] = ()
+    profiles: Mapping[str, CameraProfile], scenes: Sequence[Scene], presets: Sequence[str] = ()
 ) -> None:
     """Checks that every profile sees only what is rendered, and that presets and what writes their shares are there.
 
+    Args:
+        profiles: By where they are from, such as `--camera phone`.
+        scenes: What they look at.
+        presets: Names of presets of the proposals.
+
     Raises:
         ModuleNotFoundError: If the extra `parquet` is not installed.
-        ValueError: If that is not so; the message names profile, field and expectation.
+        ValueError: If that is not so; the message names the profile's origin, field and expectation.
     """
     for name in presets:
         preset(name)
     if presets:
         load_arrow()  # now, rather than at the end of the first drive
     for scene in scenes:
-        for profile in filter(None, profiles):
-            View(profile, camera_of(scene.camera))
+        for origin, profile in profiles.items():
+            View(profile, camera_of(scene.camera), origin)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import itertools
 import os
-from collections.abc import Iterator
 from importlib import metadata
 from io import FileIO
 from pathlib import Path
@@ -17,9 +15,9 @@ from foxglove.mcap import MCAPWriteOptions
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import path_in_unicode
 from foreglow.folder_lock import lock
-from foreglow.outputs import check_replaceable
+from foreglow.own_folders import check_replaceable
 from foreglow.runs.origin import full_name
-from foreglow.whole_files import partial_path, put, replaces_only
+from foreglow.whole_files import numbered, partial_path, put, replaces_only
 
 
 class GrowingFile:
@@ -62,7 +60,7 @@ class GrowingFile:
             if path.exists() and os.path.samestat(path.stat(), opened):
                 if not opened.st_size:
                     return file
-                path.rename(next(kept for kept in _numbered(path) if not kept.exists()))
+                path.rename(next(kept for kept in numbered(path) if not kept.exists()))
             file.close()  # it has another name now
 
     def write(self, data: bytes | bytearray) -> int:
@@ -92,12 +90,6 @@ class GrowingFile:
         """Closes it."""
         with contextlib.suppress(OSError):
             self._file.close()
-
-
-def _numbered(path: Path) -> Iterator[Path]:
-    """Names for the file of a killed run, such as `FILE.1.mcap.partial` for `FILE.mcap.partial`."""
-    stem, suffixes = path.with_suffix("").stem, "".join(path.suffixes[-2:])
-    return (path.with_name(f"{stem}.{number}{suffixes}") for number in itertools.count(1))
 
 
 SUFFIX = ".mcap"

@@ -44,6 +44,13 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
             "[surroundings]\nrails = [{side = 'left', span_m = [2.0, 1.0]}]\n",
             r"toml: surroundings\.rails\.0\.span_m: expected a span from",
         ),
+        (
+            "[[vehicles]]\nbrakes_s = [[3.0, 1.0]]\n",
+            r"brakes_s\.0: expected a span from a smaller to a larger time in s",
+        ),
+        ("sensor = 3\n", "sensor: Input should be a table, got 3"),
+        ("vehicles = 3\n", "vehicles: Input should be a list, got 3"),
+        ("[road]\nshoulders_m = [1.0]\n", "road.shoulders_m.1: expected one more value"),
         ("[[vehicles]]\nlane_number = 1\n", r"toml: vehicles\.0\.lane_number: expected a lane below 1, got 1"),
         ("rate_hz = 10.0\npair_s = 0.3\n", r"toml: pair_s: expected below 2 / rate_hz"),
         ("duration_s = true\n", "duration_s"),

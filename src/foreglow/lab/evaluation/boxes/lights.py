@@ -104,7 +104,7 @@ def read_split_shares(dataset: LabelledSource) -> SplitShares:
 
 
 def empty_images(dataset: LabelledSource) -> tuple[int, ...]:
-    """Ids of the selected images without any light of vehicles, not even doubtful light."""
+    """Ids of the selected images without a labelled vehicle, also one without a light, and without doubtful light."""
     return tuple(
         image_id
         for image_id in dataset.frame_ids

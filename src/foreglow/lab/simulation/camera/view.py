@@ -27,12 +27,18 @@ class View:
         scale: Pixels of the camera for one of the rendering.
     """
 
-    def __init__(self, profile: CameraProfile, rendered: Camera) -> None:
+    def __init__(self, profile: CameraProfile, rendered: Camera, origin: str | None = None) -> None:
         """The view of `profile` on images of the camera `rendered`.
 
+        Args:
+            profile: The profile.
+            rendered: The camera of the rendering.
+            origin: Where the profile is from, for messages; None for its name alone.
+
         Raises:
-            ValueError: If the view does not fit the rendering.
+            ValueError: If the view does not fit the rendering; the message names `origin` and field.
         """
+        origin = f"camera {profile.name}" if origin is None else origin
         spec = profile.view
         width = spec.width_px or rendered.width_px
         height = spec.height_px or rendered.height_px
@@ -40,13 +46,12 @@ class View:
         scale = focal / rendered.focal_px[0]
         if scale > FINEST:
             raise ValueError(
-                f"camera {profile.name}: view.focal_px: expected up to the rendering's {rendered.focal_px[0]:g} px, "
-                f"got {focal:g}"
+                f"{origin}: view.focal_px: expected up to the rendering's {rendered.focal_px[0]:g} px, got {focal:g}"
             )
         cut = (width / scale, height / scale)
         if cut[0] > rendered.width_px + 0.5 or cut[1] > rendered.height_px + 0.5:
             raise ValueError(
-                f"camera {profile.name}: view: expected a field of view within the rendering's {rendered.width_px}x"
+                f"{origin}: view: expected a field of view within the rendering's {rendered.width_px}x"
                 f"{rendered.height_px} px at {rendered.focal_px[0]:g} px, got {cut[0]:.0f}x{cut[1]:.0f} px of it"
             )
         self.scale = scale

@@ -28,9 +28,9 @@ from foreglow.lab.simulation.scenes.surroundings import (
     Profile,
     Share,
     Side,
-    Span,
     SpecModel,
     SurroundingsSpec,
+    TimeSpan,
 )
 
 VehicleKind: TypeAlias = Literal["car", "van", "lorry", "motorcycle", "semitrailer", "bicycle"]
@@ -172,7 +172,7 @@ class VehicleSpec(SpecModel):
     timetable: Profile = ((0.0, 300.0), (10.0, 100.0))
     lane_number: LaneNumber | None = None
     lateral_m: Annotated[float, Field(ge=-500, le=500)] | None = None
-    brakes_s: Listed[tuple[Span, ...]] = ()
+    brakes_s: Listed[tuple[TimeSpan, ...]] = ()
     beam: Beam = "low"
     low_beam_file: str | None = None
     brightness: Factor = 1.0

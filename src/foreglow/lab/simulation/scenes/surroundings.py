@@ -24,6 +24,15 @@ def _growing(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
+def _growing_s(span_s: tuple[float, float]) -> tuple[float, float]:
+    if not span_s[0] < span_s[1]:
+        raise ValueError(f"expected a span from a smaller to a larger time in s, got {span_s}")
+    return span_s
+
+
+TimeSpan: TypeAlias = Annotated[tuple[Along, Along], AfterValidator(_growing_s)]
+"""From one time to another, seconds."""
+
 Span: TypeAlias = Annotated[tuple[Along, Along], AfterValidator(_growing)]
 """From one arc length to another, metres."""
 

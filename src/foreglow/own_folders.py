@@ -1,0 +1,214 @@
+"""Folders of results: by what they are known, and that nothing of somebody else is lost in one."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from foreglow.own_files import is_left, is_own, is_result_of_run
+from foreglow.whole_files import partial_path
+
+RESULT_NAMES = (
+    "frames.jsonl",
+    "times.jsonl",
+    "overlay.mp4",
+    "overlay.png",
+    "beam.mp4",
+    "beam.png",
+    "beam.asc",
+    "beam.blf",
+    "beam.log",
+    "moments.png",
+    "suggestions.csv",
+    "report.html",
+    "config.toml",
+    "summary.json",
+)
+"""Every name that a run may have. `summary.json` is published last, so that the set is whole where it exists; only
+what is made of the results comes after it: `moments.png`, `suggestions.csv` and `report.html`."""
+
+RESULT_FILES = (
+    *RESULT_NAMES,
+    "results.json",
+    "report.md",
+    "plan.json",
+    "model.onnx",
+    "recipe.toml",
+    "scenes.jsonl",
+)
+"""Names that commands write into their output folders. An input of such a name in that folder would be lost."""
+
+RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
+"""The files by which the folders of a run, of a training and of a search are known."""
+
+
+@dataclass(frozen=True, slots=True)
+class FolderKind:
+    """A kind of folder that commands write, which is known by one file, its mark.
+
+    Attributes:
+        commands: Those that may have written it, where nothing there says which one did.
+        parts: The files beside the mark that are lost if another command writes them.
+        deeper: Such files in folders of it.
+        folders: Those that it has, in which nothing else may be written.
+        begun: Those by which an earlier one is known that may not be complete, if they hold what a command writes.
+        command_keys: Where the mark, as JSON, says which command wrote it; empty if it does not.
+    """
+
+    commands: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
+    deeper: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()
+    begun: tuple[str, ...] = ()
+    command_keys: tuple[str, ...] = ()
+
+
+KINDS = {
+    RUN: FolderKind(
+        ("run", "beam", "live", "demo"),
+        RESULT_NAMES,
+        deeper=("calibration/camera.toml", "calibration/camera.png"),
+        folders=("calibration",),
+        begun=(RUN, "times.jsonl", "summary.json"),
+    ),
+    TRAINING: FolderKind(
+        ("train",),
+        (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+        folders=("samples",),
+        begun=(TRAINING, "checkpoint.pt"),
+    ),
+    TUNING: FolderKind(
+        ("tune",),
+        (TUNING, "study.journal", "summary.json"),
+        folders=("frames",),
+        begun=(TUNING, "study.journal"),
+    ),
+    "study.journal": FolderKind(("tune",)),
+    "plan.json": FolderKind(("experiment glare",)),
+    "experiments.json": FolderKind(("reproduce",)),
+    "summary.json": FolderKind(command_keys=("command",)),
+    "results.json": FolderKind(
+        ("experiment", "evaluate", "reproduce", "yolo-train"), command_keys=("made_with", "command")
+    ),
+}
+"""By mark; a record of which command wrote the folder goes before the marks."""
+
+
+def check_replaceable(path: Path) -> None:
+    """Checks that there is a file or nothing at `path`, and at where it is written until it is whole.
+
+    Raises:
+        ValueError: If there is a folder, a device, a pipe or a socket.
+    """
+    for there in (path, partial_path(path)):
+        if there.exists() and not there.is_file():
+            kind = "a folder" if there.is_dir() else "a device, a pipe or a socket"
+            raise ValueError(f"{there}: expected a file to write, or nothing, got {kind}")
+
+
+def check_own(folder: Path, mark: str) -> None:
+    """Checks that a folder has no file with the name of a result but those of an earlier run, training or search.
+
+    Args:
+        folder: The folder, in which the results are to be written.
+        mark: `RUN`, `TRAINING` or `TUNING`.
+
+    Raises:
+        ValueError: If it has one that something else wrote, which would be lost, or a folder of that name.
+    """
+    names = dict.fromkeys((*KINDS[mark].parts, "config.toml", "summary.json"))
+    for name in names:
+        check_replaceable(folder / name)
+    if _has_earlier(folder, mark):
+        return
+    for path in (folder / name for name in names):
+        if path.is_file():
+            raise ValueError(_words_on_foreign(path))
+
+
+def check_no_parts(folders: Mapping[str, Path]) -> None:
+    """Checks that folders for results are not, and do not lie in, those that belong to a run, training or search.
+
+    Args:
+        folders: By option, folders to write into, but for those that several commands share.
+
+    Raises:
+        ValueError: If one does; the message names the earlier results.
+    """
+    for name, path in folders.items():
+        with contextlib.suppress(OSError, RuntimeError):  # as in `_is_same`
+            for part in (path.resolve(), *path.resolve().parents):
+                if any(part.name in kind.folders and _is_begun(part.parent, kind) for kind in KINDS.values()):
+                    raise ValueError(
+                        f"{name} {path}: expected a new folder for the results, not a part of {part.parent}"
+                    )
+
+
+def check_made_together(files: Sequence[Path]) -> None:
+    """Checks that files which are always written together are all there, as a command left them, or none of them.
+
+    Raises:
+        ValueError: If only some are there, which something else wrote.
+    """
+    there = [path for path in files if path.exists()]
+    if there and len(there) < len(files):
+        raise ValueError(_words_on_foreign(there[0]))
+
+
+def _words_on_foreign(path: Path) -> str:
+    return f"{path}: expected nothing there but earlier results of this command; choose another folder"
+
+
+def _has_earlier(folder: Path, mark: str) -> bool:
+    """Whether a folder has an earlier run, training or search, also one that was interrupted."""
+    if _is_begun(folder, KINDS[mark]):
+        return True
+    is_begun = mark == RUN and any(path.stat().st_size for path in _left_in(folder))
+    return is_begun or (mark == RUN and has_report(folder))
+
+
+def _is_begun(folder: Path, kind: FolderKind) -> bool:
+    return any(is_own(folder / name) for name in kind.begun)
+
+
+def clear_left(folder: Path) -> None:
+    """Removes what a run that was killed left in `folder` under the partial names of results.
+
+    Raises:
+        ValueError: If there is something else of such a name, which stays; nothing is removed then.
+        OSError: If a file cannot be removed; the message names it.
+    """
+    left = _left_in(folder)
+    for path in (partial_path(folder / name) for name in RESULT_NAMES if is_result_of_run(name)):
+        if path not in left and (path.exists() or path.is_symlink()):
+            raise ValueError(
+                f"{path}: expected nothing there but what an interrupted run left; choose another folder, or move it"
+            )
+    for path in reversed(left):  # the frames last, by which the others are known
+        path.unlink()
+
+
+def _left_in(folder: Path) -> list[Path]:
+    return [path for path in (partial_path(folder / name) for name in RESULT_NAMES) if is_left(path)]
+
+
+def has_report(folder: Path) -> bool:
+    """Whether a folder has the report of an earlier experiment, also of one that was interrupted."""
+    return any(is_own(folder / name) for name in ("plan.json", "experiments.json", "results.json"))
+
+
+def check_new(name: str, folder: Path, suffixes: Sequence[str] | None = None) -> None:
+    """ValueError if what is in `folder`, which has no earlier results, is of something else; hidden files may be there.
+
+    `name` stands for the folder in the message. Only files whose names end with one of `suffixes` are in the way; with
+    None everything is.
+    """
+    for path in sorted(folder.iterdir()) if folder.is_dir() else []:
+        is_in_the_way = suffixes is None or (path.is_file() and path.suffix.lower() in suffixes)
+        if is_in_the_way and not path.name.startswith("."):
+            raise ValueError(
+                f"{name}: expected a new folder, or one with earlier results of this command; {path} is of "
+                "something else"
+            )
