@@ -264,3 +264,24 @@ def test_rows_repeated_from_the_second_on(drive: list[Image]) -> None:
     faults = faults_of(as_coded([*good, *later], CODINGS["MJPEG"]))
     assert not any(faults[:NUM_GOOD])
     assert all(faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("part", [0.5, 1.0])
+@pytest.mark.parametrize("times", [2, 4, 8, 16])
+def test_repeated_columns(drive: list[Image], times: int, part: float) -> None:
+    images = with_noise(drive)
+    for image in images[NUM_GOOD:]:
+        left = image[:, : round(part * image.shape[1])]
+        left[...] = left[:, np.arange(left.shape[1]) // times * times]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD:])
+
+
+@pytest.mark.parametrize("divisor", [1, 4, 16])
+def test_columns_that_are_alike_without_damage(drive: list[Image], divisor: int) -> None:
+    """A black border beside images whose dark parts have no noise, as where they are cut to another shape."""
+    images = [image // divisor for image in drive]
+    for image in images:
+        image[:, :80] = image[:, -80:] = 0
+    assert not any(GuardFault.DAMAGED in found for found in faults_of(images))

@@ -20,7 +20,7 @@ from foreglow.datasets import shipped_drive
 from foreglow.runs.folder import ROOM_BYTES
 from foreglow.runs.recorded_run import read_run
 from foreglow.runs.summary_file import read_summary
-from foreglow.runtime.live import Paced
+from foreglow.runtime.live import LiveFault, Paced
 from foreglow.types import Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.forked import Loaded
@@ -233,6 +233,22 @@ def test_a_video_that_is_cut_ends_it(tmp_path: Path) -> None:
     assert num_lines(out) > 4
     summary = read_summary(out / "summary.json")
     assert (summary.is_complete, summary.num_lost_parts) == (False, 1)
+
+
+def test_images_that_cannot_be_read_up_to_the_end(tmp_path: Path) -> None:
+    """As of a folder that was removed meanwhile: it ended before its last image."""
+    images, out = tmp_path / "images", tmp_path / "out"
+    images.mkdir()
+    for name, content in (("000", PNG), ("001", PNG[:50]), ("002", PNG), ("003", PNG[:50]), ("004", b"no image")):
+        (images / f"{name}.png").write_bytes(content)
+    result = foreglow_command("live", images, "--speed", 0, "--out", out)
+    assert result.exit_code == 2, result.output
+    start = f"foreglow: expected images up to the end, the last 2 cannot be read: {images / '003.png'}: "
+    assert result.stderr.splitlines()[-1].startswith(start)
+    assert num_lines(out) == 2
+    summary = read_summary(out / "summary.json")
+    assert (summary.is_complete, summary.num_skipped, summary.num_lost_parts) == (False, 3, 0)
+    assert f"fault at 0.11 s until the end: {LiveFault.CAMERA_GONE} (ValueError: expected images up" in result.stdout
 
 
 def test_unreadable_images_are_left_out(tmp_path: Path) -> None:

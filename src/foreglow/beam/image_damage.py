@@ -38,7 +38,7 @@ NEW_EDGES_SHARE, EDGE_DEVIATIONS = 0.004, 6.0
 REPEATED_SHARE, NOISY_REPEATED_SHARE = 0.4, 0.2
 """Damage: so many more rows than in any of the recent images are like the row below, such as where a decoder fills in
 black. Where an encoder transmits no noise, more rows become alike as it gets darker, but not in a single image. The
-second number holds where no row was alike before, as in every image with noise."""
+second number holds where no row was alike before, as in every image with noise. The same holds for columns."""
 
 FLAT_SHARE = 0.25
 """Damage: so many more rows of a single value than in any of the recent images. Measured: 0 in moving images, but where
@@ -187,6 +187,7 @@ class ImageDamage:
     def _forget(self) -> None:
         """Forgets what is usual."""
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)
+        self._repeated_columns: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat: deque[float] = deque(maxlen=NUM_RECENT)
         self._flat_pieces: deque[tuple[float, float]] = deque(maxlen=NUM_OLDER)
         self._flat_twice = _Twice()
@@ -228,6 +229,9 @@ class ImageDamage:
         if len(self._repeated) >= 2:
             most = max(self._repeated)
             is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
+            most = max(self._repeated_columns)
+            limit = most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
+            is_unusual |= pieces.share_repeated_columns > limit
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
             most = max(_older(self._rough))
             is_known = len(self._rough) >= NUM_RECENT or most <= SMOOTH_SHARE
@@ -303,6 +307,7 @@ class ImageDamage:
     ) -> None:
         """Counts an image as usual, but for what would be damage in two images."""
         self._repeated.append(change.share_repeated)
+        self._repeated_columns.append(pieces.share_repeated_columns)
         self._flat.append(change.share_flat_rows)
         self._rough.append(pieces.share_rough)
         self._one_value.append(one_value)

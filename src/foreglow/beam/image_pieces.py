@@ -93,6 +93,8 @@ class PieceMeasures:
         share_wild: Share of those that do so by several times as much: no camera's noise is so strong.
         share_filled: Share of these pieces of which all pixels have one value, neither dark nor white.
         share_twice: Share of the rows whose right half is the left one, pixel by pixel.
+        share_repeated_columns: Share of the columns that are the same as the one to their left, in each of the `middle`
+            rows. Noise makes no two columns of a camera alike.
     """
 
     contrast: float
@@ -104,6 +106,7 @@ class PieceMeasures:
     share_wild: float
     share_filled: float
     share_twice: float
+    share_repeated_columns: float
 
 
 class ImagePieces:
@@ -151,6 +154,7 @@ class ImagePieces:
             share_wild=share_wild,
             share_filled=share_filled,
             share_twice=_share_twice(rows, top),
+            share_repeated_columns=_share_repeated_columns(rows[inner]),
         )
 
 
@@ -208,3 +212,8 @@ def _share_twice(rows: Image, top: int) -> float:
     if not again.size:
         return 0.0
     return int(np.count_nonzero(again.max(axis=1) - again.min(axis=1) > TWICE_CONTRAST * top)) / len(rows)
+
+
+def _share_repeated_columns(rows: Image) -> float:
+    is_other = (rows[:, 1:] != rows[:, :-1]).any(axis=0)
+    return 1.0 - int(np.count_nonzero(is_other)) / is_other.size if is_other.size else 0.0

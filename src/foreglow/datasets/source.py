@@ -48,11 +48,14 @@ class FileSource:
         skipped: A line for each part that the latest iteration left out so far.
         lost_parts: Those lines of `skipped` that are about a part of the file in which there may be any number of
             frames.
+        unread_end: Those lines of `skipped` that are about the latest images of the latest iteration, where none could
+            be read since: at its end the source ended before its last image, as where its folder was removed.
     """
 
     origin: Path
     skipped: list[str]
     lost_parts: list[str]
+    unread_end: list[str]
 
     def __init__(self, origin: Path | str, on_error: OnError) -> None:
         """Takes where the frames are, and what a bad one does.
@@ -62,7 +65,7 @@ class FileSource:
         """
         check_one_of(on_error, OnError, "on_error")
         self.origin = Path(origin)
-        self.skipped, self.lost_parts = [], []
+        self.skipped, self.lost_parts, self.unread_end = [], [], []
         self._on_error = on_error
 
     def _refuse(self, message: str) -> None:
@@ -78,13 +81,17 @@ class FileSource:
 
     def _read_each(self, reads: Iterable[Callable[[], Frame]]) -> Iterator[Frame]:
         """The frames that `reads` return; a read that raises is noted instead, unless `stop` lets it raise."""
-        skipped = self.skipped  # of this iteration, should another begin
+        skipped, unread = self.skipped, list[str]()  # of this iteration, should another begin
+        self.unread_end = unread
         for read in reads:
             try:
                 frame = read()
             except (ValueError, FileNotFoundError) as error:
                 if self._on_error == "stop":
                     raise
-                skipped.append(" ".join(str(error).split()))
+                line = " ".join(str(error).split())
+                skipped.append(line)
+                unread.append(line)
                 continue
+            unread.clear()
             yield frame

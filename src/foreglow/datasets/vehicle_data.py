@@ -168,6 +168,13 @@ def lost_parts(source: FrameSource) -> Sequence[str]:
     return source.lost_parts if isinstance(source, FileSource) else ()
 
 
+def unread_end(source: FrameSource) -> Sequence[str]:
+    """`FileSource.unread_end` of what `source` reads; empty for sources that are no `FileSource`."""
+    if isinstance(source, Equipped):
+        return unread_end(source.source)
+    return source.unread_end if isinstance(source, FileSource) else ()
+
+
 def part_names(source: FrameSource) -> tuple[str, ...]:
     """Names of the sequences in the order of their frames; a single empty name for a source without sequences."""
     if isinstance(source, Equipped):

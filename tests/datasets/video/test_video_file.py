@@ -42,6 +42,21 @@ def make_video(
     return path
 
 
+def make_titled(path: Path) -> Path:
+    """Three pictures with a title in Latin-1."""
+    with av.open(str(path), "w") as container:
+        container.metadata["title"] = "Nachtfahrt"
+        stream: Any = container.add_stream("mpeg4", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame(96, 72, "yuv420p")))
+        container.mux(stream.encode(None))
+    data = path.read_bytes()
+    assert b"Nachtfahrt" in data
+    path.write_bytes(data.replace(b"Nachtfahrt", "Nächtliche".encode("latin-1")))
+    return path
+
+
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_video(tmp_path_factory.mktemp("video") / "clip.mp4")
@@ -216,6 +231,11 @@ def test_what_is_no_video(tmp_path: Path, data: bytes, message: str) -> None:
         with pytest.raises(ValueError, match=message) as caught:
             Video(path, on_error="skip" if on_error == "skip" else "stop")
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".avi"])
+def test_a_title_that_is_not_utf_8(tmp_path: Path, suffix: str) -> None:
+    assert len(list(Video(make_titled(tmp_path / f"clip{suffix}")))) == 3
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "notes", "notes.nfo", "notes.md"])

@@ -21,7 +21,7 @@ from foreglow.runtime.live import cameras
 from foreglow.runtime.live.cameras import CameraOptions, StreamCamera
 from foreglow.runtime.live.opening import open_live
 from foreglow.types import Frame
-from tests.datasets.video.test_video_file import make_shown
+from tests.datasets.video.test_video_file import make_shown, make_titled
 from tests.runtime.live.test_sources import damaged_clip
 from tests.stand_ins import night_image
 
@@ -172,6 +172,11 @@ def test_stream_that_is_not_there() -> None:
         port = server.getsockname()[1]
     with pytest.raises(OSError, match=rf"tcp://127.0.0.1:{port}: cannot be opened"):
         next(iter(open_live(f"tcp://127.0.0.1:{port}", CameraOptions())))
+
+
+def test_a_stream_whose_title_is_not_utf_8(tmp_path: Path) -> None:
+    film = make_titled(tmp_path / "clip.mkv")
+    assert next(iter(StreamCamera(f"file://{film}", CameraOptions()))).image.shape == (72, 96)
 
 
 @pytest.mark.slow

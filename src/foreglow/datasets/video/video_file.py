@@ -213,7 +213,12 @@ class Video(FileSource):
 
         try:
             # Without a protocol, a name with a colon would be an address.
-            container: Any = av.open(f"file:{self.path}", options=CODEC_OPTIONS, container_options=_CONTAINER_OPTIONS)
+            container: Any = av.open(
+                f"file:{self.path}",
+                options=CODEC_OPTIONS,
+                container_options=_CONTAINER_OPTIONS,
+                metadata_errors="replace",  # such as a title that is not UTF-8
+            )
         except (FFmpegError, ValueError) as error:
             expected = f"expected a video (such as MP4, MKV or AVI) of at most {MAX_SIDE_PX} px a side"
             reason = "" if getattr(error, "errno", 0) in _VAGUE else f": {getattr(error, 'strerror', error)}"

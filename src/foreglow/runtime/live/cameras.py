@@ -200,7 +200,8 @@ class StreamCamera(LiveCamera):
         options = {"rtsp_transport": "tcp", "fflags": "nobuffer", "flags": "low_delay", **CODEC_OPTIONS}
         try:
             scheme, colon, rest = self._address.partition(":")  # of which FFmpeg knows no capitals
-            container: Any = av.open(scheme.lower() + colon + rest, options=options, timeout=(OPEN_S, READ_S))
+            url, limits_s = scheme.lower() + colon + rest, (OPEN_S, READ_S)
+            container: Any = av.open(url, options=options, timeout=limits_s, metadata_errors="replace")
         except (FFmpegError, ValueError) as error:
             raise OSError(f"{self.name}: cannot be opened: {_reason(error, OPEN_S)}") from error
         with closing(container):

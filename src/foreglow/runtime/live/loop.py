@@ -256,9 +256,10 @@ class LiveLoop:
                         self._command_low()
                 reason = "the source has ended"
             except BaseException as error:  # no signal's, as this is not the main thread
-                if not self._source.is_endless or isinstance(error, _UnfitError):
-                    self._error = error
                 reason = described(error)
+                if not self._source.is_endless or isinstance(error, _UnfitError):
+                    self._watch.lost(reason)
+                    self._error = error
             if not self._source.is_endless or self._error is not None:
                 self._has_ended.set()
                 return

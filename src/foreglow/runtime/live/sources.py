@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
-from foreglow.datasets import FrameSource, lost_parts
+from foreglow.datasets import FrameSource, lost_parts, unread_end
 from foreglow.runs.origin import origin_name
 from foreglow.types import BeamCommand, Frame
 
@@ -121,7 +121,8 @@ class Paced:
         """The frames, at their time.
 
         Raises:
-            ValueError: After the last one, if a part of the source is lost in which there may have been others.
+            ValueError: After the last one, if a part of the source is lost in which there may have been others, or if
+                none of the images behind it can be read.
         """
         sequence, latest_ns = None, 0
         for frame in self._source:
@@ -140,3 +141,7 @@ class Paced:
         if lost:
             more = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
             raise ValueError(f"expected a whole recording, frames may be lost: {lost[0]}{more}")
+        unread = unread_end(self._source)
+        if unread and sequence is not None:
+            last = f"the last {len(unread)} cannot" if len(unread) > 1 else "the last one cannot"
+            raise ValueError(f"expected images up to the end, {last} be read: {unread[0]}")
