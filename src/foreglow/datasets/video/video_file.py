@@ -15,7 +15,7 @@ from foreglow.datasets.file_state import FileStates
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.datasets.video.containers.ends import hole, missing_bytes
-from foreglow.datasets.video.containers.transport import TransportLosses
+from foreglow.datasets.video.containers.transport import Losses, TransportLosses
 from foreglow.datasets.video.decoding import (
     CODEC_OPTIONS,
     FILM_FORMATS,
@@ -138,7 +138,10 @@ class Video(FileSource):
             with self._opened() as (container, stream):
                 whole = _Whole(container, self._hole.film if self._hole else None)
                 is_transport = container.format.name == "mpegts"
-                losses = TransportLosses(self.path, stream.id) if is_transport else self._hole
+                losses: Losses | None = self._hole
+                if is_transport:  # only the decoder of H.265 does not say that the end of a frame is missing
+                    must_be_filled = stream.codec_context.name == "hevc"
+                    losses = TransportLosses(self.path, stream.id, must_be_filled=must_be_filled)
                 for picture, is_damaged in decoded(whole, stream, losses):
                     index += 1
                     time = whole.times.popleft() if whole.times else None

@@ -26,11 +26,10 @@ def in_packets_of(data: bytes, length: int, offset: int) -> bytes:
 
 
 def made_packets(counters: list[int], *, seed: int = 0) -> bytearray:
-    """Packets of the stream with these counters, with any bytes but 0x47 in them; the last is filled up."""
+    """Packets of the stream with these counters, with any bytes but 0x47 in them."""
     data = np.random.default_rng(seed).integers(0x48, 0x100, (len(counters), 188), np.uint8)
     for packet, counter in zip(data, counters, strict=True):
         packet[:4] = 0x47, PID >> 8, PID & 0xFF, 0x10 | counter & 0xF
-    data[-1, 3:6] = 0x30 | counters[-1] & 0xF, 1, 0
     return bytearray(data.tobytes())
 
 

@@ -36,20 +36,22 @@ class Losses(Protocol):
 class TransportLosses:
     """Where one stream of a file has lost something; reads the file once, in pieces, as far as it is asked for.
 
-    A loss is a packet whose counter does not follow the one before, a packet that the receiver marked as wrong, what is
-    no packet, and what would come after the last packet if that is full: the last packet of a frame is filled up, so
-    that by chance one whole frame in 184 counts as cut. A packet may be there twice, and the counter may begin anew
-    where a packet says so (`discontinuity_indicator`). Losses of 16 packets, or multiples, leave no trace in it.
+    A loss is a packet whose counter does not follow the one before, a packet that the receiver marked as wrong, and
+    whatever is no packet. A packet may be there twice, and the counter may begin anew where a packet says so
+    (`discontinuity_indicator`). Losses of 16 packets, or multiples, leave no trace in the counter. What the end of a
+    frame leaves of its last packet is filled up; so a last packet that is full is one of a frame that was cut, or, by
+    chance, of one whole frame in 184.
     """
 
-    def __init__(self, path: Path, pid: int) -> None:
+    def __init__(self, path: Path, pid: int, *, must_be_filled: bool = False) -> None:
         """Opens nothing yet.
 
         Args:
             path: A file of a transport stream.
             pid: The number of the stream's packets (PID), which FFmpeg calls its id.
+            must_be_filled: Whether there is a loss behind a last packet that is full.
         """
-        self._path = path
+        self._path, self._must_be_filled = path, must_be_filled
         self._pid = pid
         self._size = path.stat().st_size
         with path.open("rb") as file:
@@ -97,7 +99,7 @@ class TransportLosses:
             self._lose(base + end, base + position)
             break
         self._end = self._size if is_last else base + position
-        if is_last and self._last is not None and not self._last[3] & _FILLED:
+        if is_last and self._must_be_filled and self._last is not None and not self._last[3] & _FILLED:
             self._lose(self._last_start, self._size + self._length)
 
     def _count(self, packets: NDArray[np.uint8], start: int) -> None:
