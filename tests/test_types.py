@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import foreglow
 from foreglow.geometry import Camera, Pose
 from foreglow.types import (
     BeamCommand,
@@ -81,28 +80,6 @@ def test_frame_refuses_values_of_another_type(field: str, value: Any, complaint:
 def test_the_path_of_a_frame_is_a_text(path: Any) -> None:
     with pytest.raises(ValueError, match=r"^Frame\.path: expected a text, got"):
         Frame(np.zeros((3, 5), np.uint8), 0, path=path)
-
-
-def test_a_masked_image_becomes_a_plain_one_if_nothing_is_masked() -> None:
-    image = np.arange(15, dtype=np.uint8).reshape(3, 5)
-    frame = Frame(np.ma.masked_array(image), 0)
-    assert type(frame.image) is np.ndarray
-    np.testing.assert_array_equal(frame.image, image)
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: Frame(np.ma.masked_greater(np.arange(15, dtype=np.uint8).reshape(3, 5), 7), 0),
-        lambda: foreglow.to_grey(np.ma.masked_greater(np.arange(15, dtype=np.uint8).reshape(3, 5), 7)),
-        lambda: Proposals(np.ma.masked_greater(BOXES, 7)),
-        lambda: RoadAhead(np.ma.masked_greater(np.eye(3), 0), 4.0),
-    ],
-)
-def test_masked_values_are_refused(make: Callable[[], object]) -> None:
-    """The mask was ignored."""
-    with pytest.raises(ValueError, match=r"expected (no masked values, got \d+: fill them first|numbers, got)"):
-        make()
 
 
 def test_frame_keeps_plain_numbers() -> None:

@@ -5,10 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -28,28 +24,11 @@ from foreglow.datasets.exchange import (
 )
 from foreglow.datasets.exchange.marks import CATEGORIES, ImageLabels, Kind, LabelSet, marks_of, vehicles_of
 from foreglow.datasets.labelled import LabelledSource
-from foreglow.datasets.pvdn import is_pvdn
 from foreglow.datasets.pvdn.schema import ImageCategory
-from foreglow.folder_lock import FolderLock
 from foreglow.types import Proposals
-from tests.datasets.tiny_pvdn import edit, labelled_vehicle, make_pvdn
 from tests.datasets.video.test_video_file import make_video
 
 CATEGORIES_ARE_KEPT = {"cvat", "label-studio"}
-
-
-@pytest.fixture
-def split(tmp_path: Path) -> Path:
-    """A split with all that the formats know: two vehicles in an image, doubtful light, a light outside the image."""
-    root = make_pvdn(tmp_path)
-    keypoints = root / "labels/keypoints"
-    vehicles = [labelled_vehicle(4, (3, 5, False), (-2, 95, True)), labelled_vehicle(2)]
-    edit(keypoints / "000007.json", "annotations", value=vehicles)
-    edit(keypoints / "000007.json", "annotations", 0, "instances", 0, "rear", value=True)
-    doubtful = [{"pos": [9, 8], "iid": 70}]
-    path = keypoints / "000005.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"doubtful": doubtful}))
-    return root
 
 
 def exported(split: Path, path: Path, name: str) -> dict[str, int]:
@@ -316,58 +295,6 @@ def test_choices_and_numbers_without_a_point_are_counted(tmp_path: Path) -> None
         "region of the type 'polygonlabels'": 1,
     }
     assert found.images[0].marks[0].is_direct
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from foreglow.datasets import open_labelled
-from foreglow.datasets.exchange import write_split
-from foreglow.datasets.pvdn import writer
-
-files = []
-write = getattr(writer, sys.argv[3])
-
-def write_until(*arguments):
-    files.append(arguments)
-    if len(files) == int(sys.argv[4]):
-        os.kill(os.getpid(), signal.SIGKILL)
-    write(*arguments)
-
-setattr(writer, sys.argv[3], write_until)
-write_split(open_labelled(sys.argv[1]), Path(sys.argv[2]))
-"""
-
-
-@pytest.mark.parametrize(("write", "number"), [("write_atomic", 2), ("write_label_files", 1), ("write_json", 7)])
-def test_what_a_killed_process_left_is_no_data_set_and_goes(
-    write: str, number: int, split: Path, tmp_path: Path
-) -> None:
-    """In the midst of the images, before the files of the whole split, and between the two."""
-    out = tmp_path / "out"
-    command = [sys.executable, "-c", KILLED, str(split), str(out), write, str(number)]
-    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
-    assert [path.name for path in out.iterdir()] == [".import.partial"]
-    assert not is_pvdn(out)
-    assert write_split(open_labelled(split), out) == len(open_labelled(split))
-    assert sorted(path.name for path in out.iterdir()) == ["images", "labels"]
-    assert is_pvdn(out)
-
-
-def test_a_hidden_split_is_not_complete(split: Path, tmp_path: Path) -> None:
-    shutil.copytree(split, tmp_path / "out/.import.partial")
-    assert not is_pvdn(tmp_path / "out")
-
-
-def test_empty_folders_are_no_data_set(split: Path, tmp_path: Path) -> None:
-    (tmp_path / "out/images/S00001").mkdir(parents=True)
-    (tmp_path / "out/labels").mkdir()
-    assert write_split(open_labelled(split), tmp_path / "out") == len(open_labelled(split))
-
-
-def test_a_second_process_does_not_write_the_same_split(split: Path, tmp_path: Path) -> None:
-    with FolderLock(tmp_path / "out"), pytest.raises(ValueError, match="another run is writing into this folder"):
-        write_split(open_labelled(split), tmp_path / "out")
 
 
 def test_no_image_is_no_set(split: Path) -> None:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets.vehicle_logs import read_can_log, write_can_log
+from foreglow.datasets.vehicle_logs.can_log import read_dbc
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.street_data import StreetDataError, StreetMap
@@ -376,3 +377,14 @@ def test_a_position_that_the_car_does_not_know(tmp_path: Path) -> None:
         log = read_can_log(path)
         assert log.street(50 * MS) == message()
         assert log.street(150 * MS) is None
+
+
+@pytest.mark.parametrize("words", ["SIG_VALTYPE_ 256 Speed : 3;", "SIG_VALTYPE_ 256 Speed 12 ;"])
+def test_a_type_of_a_signal_that_is_none_is_refused(tmp_path: Path, words: str) -> None:
+    path = tmp_path / "car.dbc"
+    signal = 'BO_ 256 Motion: 8 Car\n SG_ Speed : 0|32@1+ (1,0) [0|0] "m/s" Car\n'
+    path.write_text(f"{signal}\n{words}\n")
+    with pytest.raises(ValueError, match=r"car\.dbc: SIG_VALTYPE_: Speed: expected 0 .*, got (3|12)$"):
+        read_dbc(path)
+    path.write_text(f"{signal}\nSIG_VALTYPE_ 256 Speed : 1;\n")
+    assert read_dbc(path)["Motion"].signals[0].is_float

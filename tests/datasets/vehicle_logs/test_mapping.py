@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 import pytest
 
 from foreglow.datasets.vehicle_logs import CanDecoder, CanLog, read_can_log
-from foreglow.datasets.vehicle_logs.can_log import read_dbc
 from foreglow.datasets.vehicle_logs.mapping import CurvatureMeaning
 from foreglow.street import curvature_code, curvature_from_code
 
@@ -290,17 +289,6 @@ def test_without_a_unit_that_is_known_a_factor_is_needed(tmp_path: Path, unit: s
 def test_a_number_is_not_its_own_sign(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"speed\.is_negative: expected another signal than 'Pace'"):
         decoder_of(tmp_path, DBC, MAPPING.replace('signal = "Pace"\n', 'signal = "Pace"\nis_negative = "Pace"\n'))
-
-
-@pytest.mark.parametrize("words", ["SIG_VALTYPE_ 256 Speed : 3;", "SIG_VALTYPE_ 256 Speed 12 ;"])
-def test_a_type_of_a_signal_that_is_none_is_refused(tmp_path: Path, words: str) -> None:
-    path = tmp_path / "car.dbc"
-    signal = 'BO_ 256 Motion: 8 Car\n SG_ Speed : 0|32@1+ (1,0) [0|0] "m/s" Car\n'
-    path.write_text(f"{signal}\n{words}\n")
-    with pytest.raises(ValueError, match=r"car\.dbc: SIG_VALTYPE_: Speed: expected 0 .*, got (3|12)$"):
-        read_dbc(path)
-    path.write_text(f"{signal}\nSIG_VALTYPE_ 256 Speed : 1;\n")
-    assert read_dbc(path)["Motion"].signals[0].is_float
 
 
 def test_signals_that_cannot_be_decoded_are_the_fault_of_the_dbc(tmp_path: Path) -> None:
