@@ -356,7 +356,12 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     "a lamp of 30 GiB": ("lamp", "a.ldt", sparse(30 * GIB), "at most 16 MiB"),
     "a fine step of LEDs": (
         "headlamps", "a.toml", text(changed(grid_headlamps(""), half_width_deg="1e-6", reach_width_deg="2e-6")),
-        "grid: LEDs: expected",
+        "grid.half_width_deg: Input should be greater",
+    ),
+    "a fine step of LEDs in a wide lamp": (
+        "headlamps", "a.toml",
+        text(changed(grid_headlamps(""), half_width_deg="0.05", reach_width_deg="80.0", half_height_deg="0.05",
+                     reach_height_deg="80.0")), "LEDs: expected",
     ),
     "a lot of LEDs": (
         "headlamps", "a.toml",

@@ -118,7 +118,7 @@ def test_what_may_be_left_out(tmp_path: Path) -> None:
         ("-0.05", "-1e7", r"intrinsics\.distortion\.0: .*greater than or equal to -1000000, got -10000000\.0"),
         ("width_px = 1280", "width_px = 1048577", r"image\.width_px: .*less than or equal to 1048576, got 1048577"),
         ("1312.0", '"1312"', r"intrinsics\.focal_px\.0: .*valid number, got '1312'"),
-        ("    1310.5,\n", "", r"intrinsics\.focal_px\.1: .*required, got \[1312.0\]"),
+        ("    1310.5,\n", "", r"intrinsics\.focal_px\.1: expected one more value, got \[1312.0\]"),
         ("pitch_deg = -0.7", "pitch_deg = -46", r"mount\.pitch_deg: .*-45, got -46"),
         ("yaw_deg = 0.25", "yaw_deg = 180", r"mount\.yaw_deg: .*45, got 180"),
         ("roll_deg = 1.1", "roll_deg = 179", r"mount\.roll_deg: .*45, got 179"),
