@@ -227,11 +227,12 @@ class ImageDamage:
         """Whether the image itself is not as recent ones are, or the second one where one may be so by chance."""
         is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE) or pieces.share_twice > TWICE_SHARE
         if len(self._repeated) >= 2:
-            most = max(self._repeated)
-            is_unusual |= change.share_repeated > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
-            most = max(self._repeated_columns)
-            limit = most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
-            is_unusual |= pieces.share_repeated_columns > limit
+            for share, recent in (
+                (change.share_repeated, self._repeated),
+                (pieces.share_repeated_columns, self._repeated_columns),
+            ):
+                most = max(recent)
+                is_unusual |= share > most + (REPEATED_SHARE if most else NOISY_REPEATED_SHARE)
             is_unusual |= change.share_flat_rows > max(self._flat) + FLAT_SHARE
             most = max(_older(self._rough))
             is_known = len(self._rough) >= NUM_RECENT or most <= SMOOTH_SHARE

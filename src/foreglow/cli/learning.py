@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -62,12 +62,7 @@ def annotate(
 
                 annotations.append(annotate_split(root, configuration, preset, workers=workers, progress=tell))
     except BaseException as error:
-        for root, (num_done, num_all) in done.items():
-            if num_done < num_all:
-                told = f"a part is written, finished sequences with {num_done} of {num_all} images"
-                is_interrupted = isinstance(error, KeyboardInterrupt)  # beside an error there is no other complaint
-                words = f"{root / 'labels' / 'bounding_boxes'}: {told}; the same command continues from there"
-                typer.echo(words, err=is_interrupted)
+        _tell_part(done, error)
         raise
     if json_file is not None:
         numbers = {annotation.root.name: annotation.to_json() for annotation in annotations}
@@ -77,6 +72,18 @@ def annotate(
         if each.num_outside:
             points = counted(each.num_outside, "key point")
             typer.echo(f"{each.root}: outside the image, so that no box holds them: {points}")
+
+
+def _tell_part(done: Mapping[Path, tuple[int, int]], error: BaseException) -> None:
+    """A line for each split, by its folder, of which not all images are done: how many, and of how many.
+
+    On stderr after an interrupt; beside an error, which is the only complaint there, on stdout.
+    """
+    for root, (num_done, num_all) in done.items():
+        if num_done < num_all:
+            told = f"a part is written, finished sequences with {num_done} of {num_all} images"
+            words = f"{root / 'labels' / 'bounding_boxes'}: {told}; the same command continues from there"
+            typer.echo(words, err=isinstance(error, KeyboardInterrupt))
 
 
 def _annotation_table(annotations: Sequence[Annotation], parameters: str) -> Table:

@@ -147,9 +147,9 @@ class ImageFolder(FileSource):
     An image `000012_earlier.png` beside `000012.png`, as data sets of single images have it, is no frame of its own.
     Frames are numbered as `frame_numbers` says; a skipped image keeps its number. As image files carry no time, the
     timestamp is the place in that order divided by `rate_hz`, in which an image that is missing by the numbers has a
-    place as well, as `steps_with_gaps` says. The images are one drive and have no sequence, unless
-    they are photographs: an image of another size than the one before, or that was taken more than `MAX_STEP` from it
-    by their Exif data, begins a new sequence, which has the name of its file.
+    place as well, as `steps_with_gaps` says. The images are one drive and have no sequence, unless they are
+    photographs: an image of another size than the one before, or that was taken more than `MAX_STEP` from it by their
+    Exif data, begins a new sequence, which has the name of its file.
 
     Attributes:
         path: The folder or the file.

@@ -91,7 +91,7 @@ class Company:
         return now_s - np.where(ids == self._last[0], self._before[1], self._last[1])
 
     def note(self, plausible_ids: NDArray[np.int64], now_s: float) -> None:
-        """Takes those that are plausible now."""
+        """Takes those that are plausible now, shape (P,)."""
         for found in plausible_ids[:2].tolist():
             if found != self._last[0]:
                 self._before = self._last

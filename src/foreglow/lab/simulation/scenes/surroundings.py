@@ -18,22 +18,21 @@ Profile: TypeAlias = Annotated[tuple[tuple[Along, Along], ...], Field(min_length
 """Pairs (position, value) with growing positions."""
 
 
-def _growing(span: tuple[float, float]) -> tuple[float, float]:
-    if not span[0] < span[1]:
-        raise ValueError(f"expected a span from a smaller to a larger arc length, got {span}")
-    return span
+def _growing(quantity: str) -> AfterValidator:
+    """Passes spans from a smaller to a larger value of a quantity."""
+
+    def check(span: tuple[float, float]) -> tuple[float, float]:
+        if not span[0] < span[1]:
+            raise ValueError(f"expected a span from a smaller to a larger {quantity}, got {span}")
+        return span
+
+    return AfterValidator(check)
 
 
-def _growing_s(span_s: tuple[float, float]) -> tuple[float, float]:
-    if not span_s[0] < span_s[1]:
-        raise ValueError(f"expected a span from a smaller to a larger time in s, got {span_s}")
-    return span_s
-
-
-TimeSpan: TypeAlias = Annotated[tuple[Along, Along], AfterValidator(_growing_s)]
+TimeSpan: TypeAlias = Annotated[tuple[Along, Along], _growing("time in s")]
 """From one time to another, seconds."""
 
-Span: TypeAlias = Annotated[tuple[Along, Along], AfterValidator(_growing)]
+Span: TypeAlias = Annotated[tuple[Along, Along], _growing("arc length")]
 """From one arc length to another, metres."""
 
 MIN_SPACING_M = 0.5
