@@ -272,7 +272,7 @@ def test_only_a_glare_free_beam_has_gaps() -> None:
 
 
 def test_a_frame_refuses_the_calibration_of_another_size() -> None:
-    camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
+    camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
     assert Frame(np.zeros((4, 8), np.uint8), 0, camera=camera).camera is camera
     with pytest.raises(ValueError, match=r"a.png: Frame.camera: expected .* 16x8 px, got one for 8x4 px"):
         Frame(np.zeros((8, 16), np.uint8), 0, path="a.png", camera=camera)

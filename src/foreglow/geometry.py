@@ -28,6 +28,20 @@ MAX_FOCAL_PX = 1e6
 MAX_DISTORTION = 1e6
 """Of each coefficient; fits of long lenses, which do not show k3, have given 1e4."""
 
+MAX_IMAGE_SIDE_PX = 2**20
+"""Far beyond any sensor; a calibration may be for larger images than those that are read, which are scaled."""
+
+MAX_FOV_DEG = 170.0
+"""Of a lens whose images are flat; a focal length in millimetres in place of pixels gives more."""
+
+MAX_MOUNT_M = (30.0, 10.0, 10.0)
+"""Forward of the rear axle or behind it, to either side, and above the road: ranges of a camera anywhere else, or
+below the road, would be nonsense."""
+
+MAX_TURN_DEG = 45.0
+"""Yaw, pitch or roll: beyond it a camera no longer looks along the road ahead, of which all ranges are, or what is to
+the right of something is no longer to the right in its image."""
+
 MAX_CENTRE_SIDES = 2.0
 """How far a principal point may lie outside its image, in longer sides of it: images are cut out of larger ones."""
 
@@ -190,6 +204,38 @@ class MountSigmas:
                 raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {getattr(self, name)}")
 
 
+def check_lens(size_px: tuple[int, int], focal_px: tuple[float, float], field: str) -> None:
+    """Checks that a lens whose images are flat may have these focal lengths fx, fy in an image of this size.
+
+    Raises:
+        ValueError: If it would see more than `MAX_FOV_DEG`; the message begins with `field`.
+    """
+    for side_px, length_px in zip(size_px, focal_px, strict=True):
+        fov_deg = math.degrees(2 * math.atan2(side_px / 2, length_px))
+        if fov_deg > MAX_FOV_DEG:
+            expected = f"focal lengths in pixels, for a field of view of at most {MAX_FOV_DEG:g} degrees"
+            got = f"{length_px:g} px, {fov_deg:.1f} degrees for {side_px} px"
+            raise ValueError(f"{field}: expected {expected}, got {got}")
+
+
+def check_mount(vehicle_from_camera: Pose, field: str) -> None:
+    """Checks that a camera may be mounted so in a vehicle.
+
+    Raises:
+        ValueError: If its position is beyond `MAX_MOUNT_M` or not above the road, or an angle is beyond `MAX_TURN_DEG`;
+            the message begins with `field`.
+    """
+    position_m = vehicle_from_camera.position_m
+    if not ((np.abs(position_m) <= MAX_MOUNT_M).all() and position_m[2] > 0.0):
+        ahead_m, aside_m, above_m = MAX_MOUNT_M
+        expected = f"at most {ahead_m:g} m from the rear axle, {aside_m:g} m from the middle, 0 to {above_m:g} m high"
+        raise ValueError(f"{field}.position_m: expected a camera {expected}, got {position_m.tolist()}")
+    angles_deg = np.degrees(rotation_angles_rad(vehicle_from_camera.rotation))
+    if np.abs(angles_deg).max() > MAX_TURN_DEG + 1e-6:
+        expected = f"yaw, pitch and roll of at most {MAX_TURN_DEG:g} degrees"
+        raise ValueError(f"{field}.rotation: expected {expected}, got {', '.join(f'{a:.1f}' for a in angles_deg)}")
+
+
 def check_centre(centre_px: tuple[float, float], size_px: tuple[int, int], field: str) -> None:
     """Checks that a principal point is near its image.
 
@@ -228,7 +274,7 @@ def check_distortion(
         ValueError: If it folds over at one of `NUM_CHECKED_NODES` pixels a side, or another number is not of a camera.
     """
     if any(distortion):
-        camera = Camera(*size_px, focal_px, centre_px, distortion, Pose(np.zeros(3), np.eye(3)))
+        camera = Camera(*size_px, focal_px, centre_px, distortion, Pose(np.array([0.0, 0.0, 1.0]), np.eye(3)))
         columns_px, rows_px = (np.linspace(0.0, side_px, NUM_CHECKED_NODES) for side_px in size_px)
         camera.node_rays(columns_px, rows_px, field)
 
@@ -247,8 +293,8 @@ class Camera:
         mount_sigmas: How well that pose is known.
 
     Raises:
-        ValueError: If a field is of a wrong type or number, a size is not positive, or a number is not finite or not of
-            a lens.
+        ValueError: If a field is of a wrong type or number, a size is not positive or beyond `MAX_IMAGE_SIDE_PX`, a
+            number is not finite or not of a lens, or the pose is not one of a camera that looks ahead.
     """
 
     width_px: int
@@ -263,8 +309,9 @@ class Camera:
         for name in ("width_px", "height_px"):
             if not isinstance(getattr(self, name), int | np.integer):
                 raise ValueError(f"Camera.{name}: expected a whole number, got {shortened(getattr(self, name))}")
-        if self.width_px < 1 or self.height_px < 1:
-            raise ValueError(f"Camera: expected a size of at least 1x1, got {self.width_px}x{self.height_px}")
+        if not (min(self.width_px, self.height_px) >= 1 and max(self.width_px, self.height_px) <= MAX_IMAGE_SIDE_PX):
+            expected = f"expected a size of 1x1 to {MAX_IMAGE_SIDE_PX}x{MAX_IMAGE_SIDE_PX}"
+            raise ValueError(f"Camera: {expected}, got {shortened(f'{self.width_px}x{self.height_px}')}")
         for name, count in (("focal_px", 2), ("centre_px", 2), ("distortion", 5)):
             if checked_floats(f"Camera.{name}", getattr(self, name)).shape != (count,):
                 raise ValueError(f"Camera.{name}: expected {count} numbers, got {shortened(getattr(self, name))}")
@@ -278,9 +325,11 @@ class Camera:
         for name in ("centre_px", "distortion"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"Camera.{name}: expected finite numbers, got {getattr(self, name)}")
+        check_lens((self.width_px, self.height_px), self.focal_px, "Camera.focal_px")
         check_centre(self.centre_px, (self.width_px, self.height_px), "Camera.centre_px")
         if max(map(abs, self.distortion)) > MAX_DISTORTION:
             raise ValueError(f"Camera.distortion: expected at most {MAX_DISTORTION:g}, got {self.distortion}")
+        check_mount(self.vehicle_from_camera, "Camera.vehicle_from_camera")
 
     def has_shape_of(self, width_px: int, height_px: int) -> bool:
         """Whether an image of this size has the aspect ratio of the camera's, to a pixel, so that it may be scaled."""
@@ -311,7 +360,7 @@ class Camera:
     def rays(self, pixels: ArrayLike) -> Floats:
         """Unit directions, shape (..., 3), in the camera's frame, through the pixels (x, y) of shape (..., 2).
 
-        >>> mount = Pose(np.zeros(3), np.eye(3))
+        >>> mount = Pose(np.array([1.9, 0.0, 1.3]), np.eye(3))
         >>> camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (-0.2, 0.05, 1e-3, 0.0, 0.0), mount)
         >>> np.allclose(camera.project(camera.rays([[3.0, 40.0]])), [[3.0, 40.0]])
         True

@@ -131,6 +131,51 @@ def test_scattered_parts_that_are_stuck_or_dark(drive: list[Image], form: str, v
     assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize("share", [0.2, 0.5])
+@pytest.mark.parametrize("px", [8, 16, 32, 64])
+def test_tiles_of_the_image_just_before_at_new_places_each_time(drive: list[Image], px: int, share: float) -> None:
+    """As of a decoder that fills what it misses from its last image."""
+    images = with_noise(drive)
+    height, width = images[0].shape
+    rng = np.random.default_rng(3)
+    for number in range(NUM_GOOD, len(images)):
+        is_tile = rng.permutation(height // px * (width // px + 1)) < share * (height // px * (width // px + 1))
+        is_old = np.kron(is_tile.reshape(height // px, -1), np.ones((px, px)))[:, :width] > 0
+        images[number][is_old] = images[number - 1][is_old]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("px", [16, 32, 64])
+def test_a_chessboard_whose_halves_are_renewed_in_turn(drive: list[Image], px: int) -> None:
+    images = with_noise(drive)
+    for number in range(NUM_GOOD, len(images)):
+        is_old = (Y // px + X // px + number) % 2 == 0
+        images[number][is_old] = images[number - 1][is_old]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("part", [np.s_[:, 240:], np.s_[80:240, 120:360], np.s_[160:, :240]])
+def test_a_part_whose_rows_repeat_its_first_one(drive: list[Image], part: Any) -> None:
+    images = with_noise(drive)
+    for image in images[NUM_GOOD:]:
+        image[part] = image[part][:1]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
+
+
+@pytest.mark.parametrize("num", [1, 10, 25])
+def test_light_that_fades_to_a_tenth_is_no_damage(drive: list[Image], num: int) -> None:
+    """In one image or in several: with the light, the noise ends in the dark, and words become alike."""
+    rates = [1.0 - 0.9 * min(1.0, max(0.0, (number - NUM_GOOD + 1) / num)) for number in range(len(drive))]
+    images = [(image * rate).astype(np.uint8) for image, rate in zip(with_noise(drive), rates, strict=True)]
+    assert not any(GuardFault.DAMAGED in found for found in faults_of(images))
+
+
 Y, X = np.indices((320, 480))
 
 STUCK_PIXELS = {

@@ -36,12 +36,19 @@ class KnownParts:
         share_earlier: The same, but for the pieces that are those of the image just before, as an encoder leaves them.
         is_repeated: Whether the whole image was there before, but for what is written into its border.
         is_back: Whether it was, and another one came between.
+        num_words: Words of eight bytes, a few pixels side by side, that have more than a single value.
+        share_words: Share of these that the image just before had at the same place, whichever places these are.
+        share_words_above: Share of these, but for the first row, that the row above has at the same place, of the rows
+            looked at.
     """
 
     share: float
     share_earlier: float
     is_repeated: bool
     is_back: bool
+    num_words: int
+    share_words: float
+    share_words_above: float
 
 
 class KnownImages:
@@ -56,10 +63,12 @@ class KnownImages:
         self._known: OrderedDict[bytes, int] = OrderedDict()
         self._latest, self._place = b"", 0
         self._sums = np.zeros((NUM_KNOWN, 0, 0), np.uint64)
+        self._words = np.zeros((0, 0), np.uint64)
 
     def update(self, rows: Image) -> KnownParts:
         """What of the next image is known; `rows` are some of its rows, always the same ones."""
         words, starts = _words(rows)
+        of_words = self._of_words(words, rows.itemsize)
         sums = self._checksums(words, starts)
         if sums.shape != self._sums.shape[1:]:
             self._known.clear()
@@ -69,7 +78,7 @@ class KnownImages:
             self._place = self._known[self._latest]
             share, is_other = float(_is_uneven(words, starts).mean()), self._latest != before
             is_back = share > COMES_BACK_SHARE and is_other
-            return KnownParts(share, share if is_other else 0.0, is_repeated=True, is_back=is_back)
+            return KnownParts(share, share if is_other else 0.0, True, is_back, *of_words)
         num = len(self._known)
         is_known = (self._sums[:num] == sums).any(axis=0)
         is_as_before = self._sums[self._place] == sums
@@ -77,10 +86,25 @@ class KnownImages:
         self._known[self._latest] = self._place
         self._sums[self._place] = sums
         if not is_known.any():
-            return KnownParts(0.0, 0.0, is_repeated=False, is_back=False)
+            return KnownParts(0.0, 0.0, False, False, *of_words)
         is_known &= _is_uneven(words, starts)
         share_earlier = float((is_known & ~is_as_before).mean())
-        return KnownParts(float(is_known.mean()), share_earlier, is_repeated=False, is_back=False)
+        return KnownParts(float(is_known.mean()), share_earlier, False, False, *of_words)
+
+    def _of_words(self, words: NDArray[np.uint64], pixel_bytes: int) -> tuple[int, float, float]:
+        """How many words have more than a single value, and what shares of them are as before and as above."""
+        before, self._words = self._words, words
+        first = words & np.uint64((1 << 8 * pixel_bytes) - 1)
+        is_uneven = words != first * np.uint64(((1 << 64) - 1) // ((1 << 8 * pixel_bytes) - 1))
+        num = int(np.count_nonzero(is_uneven))
+        is_as_before = is_uneven & (words == before) if before.shape == words.shape else np.zeros(0, np.bool_)
+        is_as_above = is_uneven[1:] & (words[1:] == words[:-1])
+        num_below = int(np.count_nonzero(is_uneven[1:]))
+        return (
+            num,
+            int(np.count_nonzero(is_as_before)) / max(1, num),
+            int(np.count_nonzero(is_as_above)) / max(1, num_below),
+        )
 
     def _checksums(self, words: NDArray[np.uint64], starts: NDArray[np.intp]) -> NDArray[np.uint64]:
         """By row and piece, a sum of the words times odd numbers; all of it modulo 2 to the power of 64."""

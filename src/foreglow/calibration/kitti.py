@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.calibration.values import (
-    MAX_IMAGE_SIDE_PX,
     NO_DISTORTION,
     Five,
     ImageChoice,
@@ -26,7 +25,7 @@ from foreglow.calibration.values import (
     checked_distortion,
 )
 from foreglow.files import MIB, check_each_once, number_in, read_text
-from foreglow.geometry import Floats
+from foreglow.geometry import MAX_IMAGE_SIDE_PX, Floats
 
 MAX_CALIBRATION_BYTES = MIB
 """Largest file of KITTI's: theirs have 4 kB."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Self, TypeAlias
 
 import numpy as np
@@ -12,12 +11,16 @@ from foreglow.config import FrozenModel
 from foreglow.geometry import (
     MAX_DISTORTION,
     MAX_FOCAL_PX,
+    MAX_IMAGE_SIDE_PX,
+    MAX_MOUNT_M,
+    MAX_TURN_DEG,
     Camera,
     Floats,
     MountSigmas,
     Pose,
     check_centre,
     check_distortion,
+    check_lens,
     rotation,
 )
 
@@ -29,29 +32,20 @@ Five: TypeAlias = Annotated[tuple[_Term, _Term, _Term, _Term, _Term], Field(stri
 MIN_FOCAL_PX = 1.0
 """Far beyond any lens, as is `MAX_FOCAL_PX`."""
 
-MAX_IMAGE_SIDE_PX = 2**20
-"""Far beyond any sensor; a calibration may be for larger images than those that are read, which are scaled."""
-
-MAX_FOV_DEG = 170.0
-"""Of a lens whose images are flat; a focal length in millimetres in place of pixels gives more."""
-
 _Length: TypeAlias = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
 Focal: TypeAlias = Annotated[tuple[_Length, _Length], Field(strict=False)]
 Side: TypeAlias = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE_PX)]
-Turn: TypeAlias = Annotated[float, Field(ge=-45, le=45)]
-"""Yaw, pitch or roll: beyond it a camera no longer looks along the road ahead, of which all ranges are, or what is to
-the right of something is no longer to the right in its image."""
+Turn: TypeAlias = Annotated[float, Field(ge=-MAX_TURN_DEG, le=MAX_TURN_DEG)]
 _Sigma: TypeAlias = Annotated[float, Field(ge=0, le=90)]
 
 Position: TypeAlias = Annotated[
     tuple[
-        Annotated[float, Field(ge=-30, le=30)],
-        Annotated[float, Field(ge=-10, le=10)],
-        Annotated[float, Field(gt=0, le=10)],
+        Annotated[float, Field(ge=-MAX_MOUNT_M[0], le=MAX_MOUNT_M[0])],
+        Annotated[float, Field(ge=-MAX_MOUNT_M[1], le=MAX_MOUNT_M[1])],
+        Annotated[float, Field(gt=0, le=MAX_MOUNT_M[2])],
     ],
     Field(strict=False),
 ]
-"""On a vehicle, and above the road: ranges of a camera anywhere else would be nonsense."""
 
 HALF_PIXEL_PX = 0.5
 """KITTI, ROS and OpenCV have the centre of the upper left pixel at (0, 0); here it is (0.5, 0.5)."""
@@ -155,13 +149,7 @@ class Intrinsics(FrozenModel):
         Raises:
             ValueError: If it would see more than any; the message begins with `field`.
         """
-        sizes_px = self.width_px, self.height_px
-        for size_px, focal_px in zip(sizes_px, self.focal_px, strict=True):
-            fov_deg = math.degrees(2 * math.atan2(size_px / 2, focal_px))
-            if fov_deg > MAX_FOV_DEG:
-                expected = f"focal lengths in pixels, for a field of view of at most {MAX_FOV_DEG:g} degrees"
-                got = f"{focal_px:g} px, {fov_deg:.1f} degrees for {size_px} px"
-                raise ValueError(f"{field}: expected {expected}, got {got}")
+        check_lens((self.width_px, self.height_px), self.focal_px, field)
         return self
 
     def undistorted(self, field: str) -> Self:

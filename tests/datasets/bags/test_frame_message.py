@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from foreglow.datasets.bags import FrameMessage
 from foreglow.datasets.json_files import parse_json
-from foreglow.geometry import Camera, Pose, rotation
+from foreglow.geometry import Camera, MountSigmas, Pose, rotation
 from foreglow.types import EgoMotion, Frame, RoadAhead
 
 FINITE = st.floats(-1e6, 1e6)
+TURN = st.floats(-0.4, 0.4)
+SIGMAS = MountSigmas(1e-3, 2e-3, 3e-3, 0.02)
 IMAGE = np.zeros((48, 64), np.uint8)
 
 
@@ -27,11 +29,13 @@ def returned(frame: Frame) -> Frame:
 
 
 @given(
-    angles=st.tuples(FINITE, FINITE, FINITE), position_m=st.tuples(FINITE, FINITE, FINITE), focal=st.floats(1.0, 1e4)
+    angles=st.tuples(TURN, TURN, TURN),
+    position_m=st.tuples(st.floats(-30, 30), st.floats(-10, 10), st.floats(0.1, 10)),
+    focal=st.floats(3.0, 1e4),
 )
 def test_a_camera(angles: tuple[float, float, float], position_m: tuple[float, float, float], focal: float) -> None:
     pose = Pose(np.array(position_m), rotation(*angles))
-    camera = Camera(64, 48, (focal, 1.1 * focal), (31.7, 24.1), (-7e-13, 1.5e-13, 1e-14, -2e-15, 1e-12), pose)
+    camera = Camera(64, 48, (focal, 1.1 * focal), (31.7, 24.1), (-7e-13, 1.5e-13, 1e-14, -2e-15, 1e-12), pose, SIGMAS)
     found = returned(Frame(IMAGE, 3, camera=camera)).camera
     assert found is not None
     assert (found.width_px, found.height_px) == (64, 48)
@@ -39,6 +43,7 @@ def test_a_camera(angles: tuple[float, float, float], position_m: tuple[float, f
         assert getattr(found, name) == getattr(camera, name)
     np.testing.assert_array_equal(found.vehicle_from_camera.position_m, pose.position_m)
     np.testing.assert_array_equal(found.vehicle_from_camera.rotation, pose.rotation)
+    assert found.mount_sigmas == SIGMAS
 
 
 @given(speed=FINITE, yaw=FINITE, pitch=FINITE | st.just(math.nan), time_ns=st.integers(0, 2**62))
@@ -85,7 +90,8 @@ def test_a_message_of_an_earlier_recording() -> None:
         "road": road,
     }
     frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
-    later = {"is_damaged": False, "is_reported": None, "red_chroma": None}
+    later = {"camera": camera | mount | {"mount_sigmas": [0.0] * 4}}
+    later |= {"is_damaged": False, "is_reported": None, "red_chroma": None}
     assert json.loads(FrameMessage.of(frame).to_json()) == fields | later
     assert frame.camera is not None
     assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
@@ -119,22 +125,26 @@ def test_a_frame_without_anything() -> None:
 
 def test_frames_of_one_camera_share_it() -> None:
     """Estimators remember what depends on it."""
-    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
+    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
     first, second = returned(Frame(IMAGE, 0, camera=camera)), returned(Frame(IMAGE, 1, camera=camera))
     assert first.camera is second.camera is not None
 
 
 def test_a_camera_for_another_size_is_refused() -> None:
-    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
+    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
     record = FrameMessage.of(Frame(IMAGE, 0, camera=camera))
     with pytest.raises(ValueError, match=r"Frame\.camera: expected a calibration for images of 65x48 px"):
         record.frame_of(np.zeros((48, 65), np.uint8), "there")
 
 
 def test_a_recorded_camera_of_no_lens_is_refused() -> None:
-    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.zeros(3), np.eye(3)))
+    camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
     fields = json.loads(FrameMessage.of(Frame(IMAGE, 0, camera=camera)).to_json())
     for name, value, complaint in (
+        ("width", 2**70, "Camera: expected a size of 1x1 to"),
+        ("position_m", [1.9, 300.0, 1.3], r"position_m: expected a camera at most 30 m"),
+        ("rotation", [[-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]], "rotation: expected yaw, pitch and roll of at most 45"),
+        ("focal_px", [1.0, 60.0], "focal_px: expected focal lengths in pixels"),
         ("centre_px", [1e6, 24.0], "centre_px: expected a principal point at most 128 px outside"),
         ("distortion", [-3.0, 0.0, 0.0, 0.0, 0.0], "distortion: expected one that can be undone everywhere in"),
     ):

@@ -15,8 +15,10 @@ from hypothesis.extra import numpy as hnp
 
 pytest.importorskip("rclpy")
 
+from sensor_msgs.msg import PointCloud2
+
 from foreglow.calibration import Mount
-from foreglow.geometry import Camera, Floats, Pose, rotation
+from foreglow.geometry import Camera, Floats, MountSigmas, Pose, rotation
 from foreglow.runtime.ros2.header import Header, header_message, read_header
 from foreglow.runtime.ros2.input_messages import (
     attitude_message,
@@ -31,6 +33,7 @@ from foreglow.runtime.ros2.input_messages import (
     road_message,
     twist_message,
 )
+from foreglow.runtime.ros2.table import table_message
 from foreglow.types import EgoMotion, RoadAhead
 
 pytestmark = pytest.mark.ros
@@ -114,7 +117,8 @@ def test_broken_images_are_refused(field: str, value: Any, expected: str) -> Non
 def camera(focal_px: float = 1356.5, centre_px: float = 640.2) -> Camera:
     mount = Mount(position_m=(2.0906, -0.0030294, 1.3011), yaw_deg=0.2, pitch_deg=-0.4, roll_deg=0.02)
     lens = (-0.077618, 0.015524, 8.6827e-05, -2.1137e-05, 0.0)
-    return Camera(1280, 960, (focal_px, focal_px / 1.1), (centre_px, 495.0), lens, mount.pose)
+    sigmas = MountSigmas(1e-3, 2e-3, 3e-3, 0.02)
+    return Camera(1280, 960, (focal_px, focal_px / 1.1), (centre_px, 495.0), lens, mount.pose, sigmas)
 
 
 @given(st.floats(1000, 5000), st.floats(0.5, 1270))
@@ -123,8 +127,8 @@ def test_cameras_come_back(focal_px: float, centre_px: float) -> None:
     size_px, intrinsics = read_camera_info(camera_info_message(HEADER, (1280, 960), sent), "t")
     assert intrinsics is not None
     assert size_px == (1280, 960)
-    mount = read_mount(mount_message(HEADER, sent.vehicle_from_camera), "t")
-    back = Camera(**intrinsics.model_dump(), vehicle_from_camera=mount)
+    mount, sigmas = read_mount(mount_message(HEADER, sent), "t")
+    back = Camera(**intrinsics.model_dump(), vehicle_from_camera=mount, mount_sigmas=sigmas)
     assert dataclasses.replace(back, vehicle_from_camera=sent.vehicle_from_camera) == sent
     np.testing.assert_array_equal(mount.rotation, sent.vehicle_from_camera.rotation)
     np.testing.assert_array_equal(mount.position_m, sent.vehicle_from_camera.position_m)
@@ -164,30 +168,48 @@ def test_a_part_of_the_sensor_is_refused() -> None:
 
 
 def test_a_mount_is_on_a_vehicle() -> None:
-    message = mount_message(HEADER, Pose(np.array([2.0, 0.0, 1e6]), np.eye(3)))
-    with pytest.raises(ValueError, match=r"mount: position_m\.2: .*10"):
-        read_mount(message, "mount")
+    with pytest.raises(ValueError, match=r"mount\.position_m: .*10 m high, got "):
+        read_mount(mounted(Pose(np.array([2.0, 0.0, 1e6]), np.eye(3))), "mount")
+
+
+def mounted(pose: Pose) -> PointCloud2:
+    """The message of a camera with this pose, whatever it is."""
+    sent = camera()
+    object.__setattr__(sent, "vehicle_from_camera", pose)
+    return mount_message(HEADER, sent)
+
+
+def test_a_mount_without_sigmas_counts_as_exact() -> None:
+    pose = camera().vehicle_from_camera
+    columns = {"position_m": pose.position_m.reshape(1, 3), "rotation": pose.rotation.reshape(1, 9)}
+    assert read_mount(table_message(HEADER, columns), "mount")[1] == MountSigmas()
 
 
 @pytest.mark.parametrize(
     ("turned", "expected"),
     [
         (np.diag([1.0, -1.0, 1.0]), r"Pose\.rotation: expected a rotation"),
-        (rotation(yaw_rad=math.radians(60.0)), "yaw_deg: Input should be less than or equal to 45"),
-        (rotation(pitch_rad=math.radians(-60.0)), "pitch_deg: Input should be greater than or equal to -45"),
+        (
+            rotation(yaw_rad=math.radians(60.0)),
+            "rotation: expected yaw.* got 60.0",
+        ),
+        (
+            rotation(pitch_rad=math.radians(-60.0)),
+            "rotation: expected yaw.* got 0.0, -60.0",
+        ),
     ],
     ids=["mirrored", "yaw", "pitch"],
 )
 def test_a_mount_looks_ahead_and_is_not_mirrored(turned: Floats, expected: str) -> None:
     pose = Pose(np.array([2.0, 0.0, 1.3]), np.eye(3))
     object.__setattr__(pose, "rotation", turned)
-    with pytest.raises(ValueError, match=f"mount: {expected}"):
-        read_mount(mount_message(HEADER, pose), "mount")
+    with pytest.raises(ValueError, match=f"mount(: |\\.){expected}"):
+        read_mount(mounted(pose), "mount")
 
 
 def test_no_mount_is_no_rotation() -> None:
     pose = Pose(np.array([2.0, 0.0, 1.3]), np.eye(3))
-    message = mount_message(HEADER, pose)
+    message = mounted(pose)
     message.data[24:32] = array.array("B", np.float64(2.0).tobytes())
     with pytest.raises(ValueError, match=r"mount: Pose\.rotation"):
         read_mount(message, "mount")

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma
 from foreglow.datasets.json_files import Record, StoredAs, adapter
-from foreglow.geometry import Camera, Floats, Pose, check_distortion
+from foreglow.geometry import Camera, Floats, MountSigmas, Pose, check_distortion
 from foreglow.types import EgoMotion, Frame, Image, RoadAhead
 
 FRAME_TOPIC = "/frame"
@@ -34,6 +34,7 @@ class _StoredCamera(Record):
     distortion: tuple[float, float, float, float, float]
     position_m: _Three
     rotation: tuple[_Three, _Three, _Three]
+    mount_sigmas: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # older recordings do not have them
 
 
 class _StoredMotion(Record):
@@ -52,6 +53,7 @@ class _StoredRoad(Record):
 @lru_cache(maxsize=8)
 def _stored_camera(camera: Camera) -> _StoredCamera:
     first, second, third = _threes(camera.vehicle_from_camera.rotation)
+    sigmas = camera.mount_sigmas
     return _StoredCamera(
         width=camera.width_px,
         height=camera.height_px,
@@ -60,6 +62,7 @@ def _stored_camera(camera: Camera) -> _StoredCamera:
         distortion=camera.distortion,
         position_m=_threes(camera.vehicle_from_camera.position_m[None])[0],
         rotation=(first, second, third),
+        mount_sigmas=(sigmas.yaw_rad, sigmas.pitch_rad, sigmas.roll_rad, sigmas.height_m),
     )
 
 
@@ -68,7 +71,8 @@ def _camera(stored: _StoredCamera) -> Camera:
     mount = Pose(np.array(stored.position_m), np.array(stored.rotation))
     size_px = stored.width, stored.height
     check_distortion(size_px, stored.focal_px, stored.centre_px, stored.distortion, "distortion")
-    return Camera(stored.width, stored.height, stored.focal_px, stored.centre_px, stored.distortion, mount)
+    sigmas = MountSigmas(*stored.mount_sigmas)
+    return Camera(stored.width, stored.height, stored.focal_px, stored.centre_px, stored.distortion, mount, sigmas)
 
 
 def _stored_motion(motion: EgoMotion) -> _StoredMotion:

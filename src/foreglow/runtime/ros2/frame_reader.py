@@ -70,7 +70,8 @@ class FrameReader:
             _, intrinsics = read_camera_info(info, topics.CAMERA_INFO)
             camera: Camera | None = None
             if intrinsics is not None and mount is not None:
-                camera = Camera(**intrinsics.model_dump(), vehicle_from_camera=read_mount(mount, topics.MOUNT))
+                pose, sigmas = read_mount(mount, topics.MOUNT)
+                camera = Camera(**intrinsics.model_dump(), vehicle_from_camera=pose, mount_sigmas=sigmas)
             self._known = (key, camera)
         return self._known[1]
 

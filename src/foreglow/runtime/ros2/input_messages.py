@@ -25,10 +25,9 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from foreglow.calibration import Intrinsics
 from foreglow.calibration.ros import distortion_of
-from foreglow.calibration.values import HALF_PIXEL_PX, Mount
-from foreglow.config import validated
+from foreglow.calibration.values import HALF_PIXEL_PX
 from foreglow.datasets.images import check_size, to_grey
-from foreglow.geometry import Camera, Pose, rotation_angles_rad
+from foreglow.geometry import Camera, MountSigmas, Pose, check_mount
 from foreglow.runtime.ros2.header import Header, byte_array, header_message
 from foreglow.runtime.ros2.table import Field, read_table, table_message
 from foreglow.types import EgoMotion, RoadAhead
@@ -62,6 +61,9 @@ MOUNT = {
     "position_m": Field("f8", 3, is_finite=True),
     "rotation": Field("f8", 9, is_finite=True),
 }
+MOUNT_SIGMAS = {"sigmas": Field("f8", 4, is_finite=True)}
+"""Yaw, pitch, roll in rad, height in m, as in `MountSigmas`: in a mount whose calibration is not exact."""
+
 DAMAGE = {"is_damaged": Field("u1")}
 REPORTED = {"is_reported": Field("u1")}
 ROAD = {
@@ -147,26 +149,32 @@ def read_camera_info(message: CameraInfo, topic: str) -> tuple[tuple[int, int], 
     return size_px, found.undistorted(f"{topic}: d")
 
 
-def mount_message(header: Header, mount: Pose) -> PointCloud2:
-    """The camera's pose in the vehicle, `Camera.vehicle_from_camera`."""
-    return table_message(
-        header, {"position_m": mount.position_m.reshape(1, 3), "rotation": mount.rotation.reshape(1, 9)}
-    )
+def mount_message(header: Header, camera: Camera) -> PointCloud2:
+    """How the camera is mounted in the vehicle, and how well that is known."""
+    mount, sigmas = camera.vehicle_from_camera, camera.mount_sigmas
+    columns = {
+        "position_m": mount.position_m.reshape(1, 3),
+        "rotation": mount.rotation.reshape(1, 9),
+        "sigmas": np.array([[sigmas.yaw_rad, sigmas.pitch_rad, sigmas.roll_rad, sigmas.height_m]]),
+    }
+    return table_message(header, columns)
 
 
-def read_mount(message: PointCloud2, topic: str) -> Pose:
-    """The camera's pose in the vehicle."""
-    _, columns = read_table(message, topic, MOUNT, num_rows=1)
-    position_m = columns["position_m"][0].tolist()
-    level = dict.fromkeys(("yaw_deg", "pitch_deg", "roll_deg"), 0.0)
-    validated(Mount, {"position_m": position_m, **level}, topic)
+def read_mount(message: PointCloud2, topic: str) -> tuple[Pose, MountSigmas]:
+    """The camera's pose in the vehicle, and how well it is known: exactly, if the message does not say.
+
+    Raises:
+        ValueError: If the table is malformed, or the pose is not one of a camera that looks ahead.
+    """
+    has_sigmas = any(field.name in MOUNT_SIGMAS for field in message.fields)
+    _, columns = read_table(message, topic, MOUNT | MOUNT_SIGMAS if has_sigmas else MOUNT, num_rows=1)
     try:
         pose = Pose(columns["position_m"][0], columns["rotation"][0].reshape(3, 3))
+        sigmas = MountSigmas(*columns["sigmas"][0].tolist()) if has_sigmas else MountSigmas()
     except ValueError as error:
         raise ValueError(f"{topic}: {error}") from None
-    angles = np.degrees(rotation_angles_rad(pose.rotation)).tolist()
-    validated(Mount, {"position_m": position_m, **dict(zip(level, angles, strict=True))}, topic)
-    return pose
+    check_mount(pose, topic)
+    return pose, sigmas
 
 
 def damage_message(header: Header, is_damaged: bool) -> PointCloud2:

@@ -59,7 +59,7 @@ class FramePublisher:
         size_px = (frame.width_px, frame.height_px)
         sent: list[tuple[str, Any]] = [(topics.CAMERA_INFO, camera_info_message(header, size_px, frame.camera))]
         if frame.camera is not None:
-            sent.append((topics.MOUNT, mount_message(header, frame.camera.vehicle_from_camera)))
+            sent.append((topics.MOUNT, mount_message(header, frame.camera)))
         sent += [
             (topics.TWIST, twist_message(header, frame.motion)),
             (topics.ATTITUDE, attitude_message(header, frame.motion)),
