@@ -250,6 +250,8 @@ def command(**changed: Any) -> BeamCommand:
         *(("mode", value, "expected a BeamMode, got") for value in ("x", 77, None)),
         *(("timestamp_ns", value, "expected nanoseconds as a whole number") for value in (None, math.nan, 2**80)),
         *(("faults", value, "expected a tuple of names, got") for value in (3, "dark", (object(),), ["dark"])),
+        ("faults", ("dark",) * 101, "expected at most 100 names, got 101"),
+        *(("faults", (value,), "expected names of 1 to 100 characters") for value in ("", "a\nb", "x" * 101)),
         *(
             ("gap_ranges_m", np.array([value, 9.0]), "expected numbers of at least 0, or NaN, got")
             for value in (-5.0, -math.inf, math.inf)

@@ -240,6 +240,8 @@ def test_time_goes_on() -> None:
         receiver.shining(arrival(9) - 1)
     with pytest.raises(ValueError, match="or later"):
         receiver.receive(arrival(9) - 1, 0x123, b"")
+    with pytest.raises(ValueError, match="expected nanoseconds as a whole number of 64 bits, got nan"):
+        receiver.receive(float("nan"), 0x123, b"")  # type: ignore[arg-type]
 
 
 @st.composite

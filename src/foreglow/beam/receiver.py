@@ -24,6 +24,7 @@ from foreglow.beam.messages import (
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS
+from foreglow.types.arrays import checked_time_ns
 
 
 class ReceiverConfig(FrozenModel):
@@ -81,7 +82,7 @@ class LampReceiver:
         """Takes a frame; frames other than those with levels are ignored.
 
         Raises:
-            ValueError: If the time goes back.
+            ValueError: If the time goes back, or is no whole number of nanoseconds.
         """
         self._advance(arrival_ns)
         if frame_id not in LEVELS_IDS:
@@ -99,13 +100,14 @@ class LampReceiver:
         """The LEDs' levels at a time, shape (2, L), and the faults noticed since the command behind them.
 
         Raises:
-            ValueError: If the time goes back.
+            ValueError: If the time goes back, or is no whole number of nanoseconds.
         """
         self._advance(time_ns)
         return self._levels.copy(), tuple(self._faults)
 
     def _advance(self, time_ns: int) -> None:
         """Advances to a time: low beam if the deadline has passed by then, and changes of light that are due."""
+        time_ns = checked_time_ns("time_ns", time_ns)
         if self._now_ns is not None and time_ns < self._now_ns:
             raise ValueError(f"time_ns: expected {self._now_ns} or later, got {time_ns}")
         if self._taken_ns is not None and time_ns - self._taken_ns > self._deadline_ns:

@@ -18,6 +18,10 @@ MAX_BORDER_RAD = 2 * math.pi
 """A full turn: every bearing, and every gap around one, ends before it."""
 
 
+MAX_FAULTS, MAX_FAULT_LENGTH = 100, 100
+"""Names of faults in a command, and characters of each: they are stored with every frame."""
+
+
 class BeamMode(IntEnum):
     """The kind of beam."""
 
@@ -47,7 +51,8 @@ class BeamCommand(Value):
     Raises:
         ValueError: If a type, a shape or a dtype is wrong, the time is no whole number of 64 bits, there is no such
             mode, a level is outside [0, 1] or NaN, gaps are not in order, a range is negative or infinite, a fault is
-            no name, LOW has light above the low beam, or FULL has gaps.
+            no name of a line of at most `MAX_FAULT_LENGTH` characters, there are more than `MAX_FAULTS`, LOW has light
+            above the low beam, or FULL has gaps.
     """
 
     timestamp_ns: int
@@ -63,6 +68,12 @@ class BeamCommand(Value):
             raise ValueError(f"BeamCommand.mode: expected a BeamMode, got {shortened(self.mode)}")
         if not isinstance(self.faults, tuple) or not all(isinstance(fault, str) for fault in self.faults):
             raise ValueError(f"BeamCommand.faults: expected a tuple of names, got {shortened(self.faults)}")
+        if len(self.faults) > MAX_FAULTS:
+            raise ValueError(f"BeamCommand.faults: expected at most {MAX_FAULTS} names, got {len(self.faults)}")
+        for fault in self.faults:
+            if not (fault.isprintable() and 0 < len(fault) <= MAX_FAULT_LENGTH):
+                expected = f"names of 1 to {MAX_FAULT_LENGTH} characters on a line"
+                raise ValueError(f"BeamCommand.faults: expected {expected}, got {shortened(fault)}")
         levels = checked_array("BeamCommand.levels", self.levels, _FLOAT64, (2, None))
         gaps = checked_array("BeamCommand.gaps_rad", self.gaps_rad, _FLOAT64, (None, 2))
         ranges_m = checked_array("BeamCommand.gap_ranges_m", self.gap_ranges_m, _FLOAT64, (len(gaps),))

@@ -346,6 +346,24 @@ def test_every_kind_of_log_says_the_same_of_a_frame(begin_ns: int, tmp_path: Pat
             assert found.speed_mps == pytest.approx(motion.speed_mps), (suffix, time_ns)
 
 
+@pytest.mark.parametrize(
+    ("sent", "missing"), [("1A0", "Turning with a value of yaw_rate"), ("1A1", "Pace with a value of speed")]
+)
+def test_a_log_of_half_a_motion(tmp_path: Path, sent: str, missing: str) -> None:
+    """As where a message comes with another identifier than its DBC says: the motion would never be known."""
+    (tmp_path / "car.dbc").write_text(
+        'BO_ 416 Pace: 2 Car\n SG_ Speed : 0|16@1+ (0.01,0) [0|0] "m/s" Car\n\n'
+        'BO_ 417 Turning: 2 Car\n SG_ Rate : 0|16@1- (0.001,0) [0|0] "rad/s" Car\n'
+    )
+    (tmp_path / "car.toml").write_text(
+        '[speed]\nmessage = "Pace"\nsignal = "Speed"\n\n[yaw_rate]\nmessage = "Turning"\nsignal = "Rate"\n'
+    )
+    log = tmp_path / "drive.log"
+    log.write_text(f"(1.0) can0 {sent}#D007\n(1.1) can0 {sent}#D007\n")
+    with pytest.raises(ValueError, match=rf"drive\.log: expected frames of {missing}, got none"):
+        read_can_log(log, tmp_path / "car.dbc", tmp_path / "car.toml")
+
+
 def test_a_log_of_another_bus(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     path.write_text("(1.0) can0 123#00\n(1.1) can0 123#01\n")

@@ -334,6 +334,22 @@ def test_service_notifier(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert told == ["READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG_USEC=120000000", "STOPPING=1"]
 
 
+@pytest.mark.parametrize("pid", ["1", "no number"])
+def test_a_watchdog_for_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pid: str) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as service:
+        service.bind(str(tmp_path / "notify"))
+        service.settimeout(10)
+        for name, value in (("NOTIFY_SOCKET", str(tmp_path / "notify")), ("WATCHDOG_USEC", "1"), ("WATCHDOG_PID", pid)):
+            monkeypatch.setenv(name, value)
+        notifier = ServiceNotifier()
+        for _ in range(3):
+            notifier.beat()
+            time.sleep(0.001)
+        notifier.close()
+        notifier.stop()
+        assert [service.recv(100).decode() for _ in range(2)] == ["READY=1", "STOPPING=1"]
+
+
 def test_the_end_of_a_run_is_told_before_sinks_are_completed() -> None:
     """A watchdog must not end the program while a recording is completed on a slow disk."""
     keeper, ends = Keeper(), []

@@ -109,6 +109,10 @@ class CanLog:
         """Adds a `speed` in m/s, a `yaw_rate` in rad/s, or what `production` reports; times must not fall."""
         self._add(self._numbers[quantity], time_ns, value)
 
+    def has(self, quantity: str) -> bool:
+        """Whether there is a value of the quantity that `add_number` names."""
+        return bool(self._numbers[quantity].times_ns)
+
     def street(self, timestamp_ns: int) -> StreetMessage | None:
         """The street message of the latest position at or before a time; None if it is stale or unknown."""
         with self._lock:
@@ -155,16 +159,20 @@ def read_can_log(path: Path | str, dbc: Path | str | None = None, mapping: Path 
         FileNotFoundError: If there is no such file.
         ModuleNotFoundError: If cantools or python-can is not installed (extra `can`).
         ValueError: If a file is broken, the log's times jump back, the mapping names something that the DBC does not
-            have, or the log has none of its frames.
+            have, the log has none of its frames, or only one of speed and yaw rate.
     """
     path = Path(path)
     decoder = CanDecoder(dbc, mapping)
     for time_ns, key, data in sorted(read_frames(path, decoder.keys, decoder.bus), key=lambda frame: frame[0]):
         decoder.take(time_ns, key, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
+    of_bus = f" on bus {decoder.bus}" if decoder.bus is not None else ""
     if decoder.log.is_empty:
-        of_bus = f" on bus {decoder.bus}" if decoder.bus is not None else ""
         names = ", ".join(decoder.message_names)
         raise ValueError(f"{path}: expected frames of {names}{of_bus}, with values, got none")
+    missing = {name: message for name, message in decoder.motion.items() if not decoder.log.has(name)}
+    if len(missing) == 1:
+        ((name, message),) = missing.items()
+        raise ValueError(f"{path}: expected frames of {message}{of_bus} with a value of {name}, got none")
     return decoder.log
 
 
@@ -321,6 +329,11 @@ class CanDecoder:
     def message_names(self) -> list[str]:
         """Names of the messages that it decodes."""
         return [message.name for message, _ in self._sections.values()]
+
+    @property
+    def motion(self) -> dict[str, str]:
+        """The messages of `speed` and `yaw_rate`, without which the motion is not known; empty if it decodes neither."""
+        return {name: part.message for name, part in self._mapping.sections() if name in ("speed", "yaw_rate")}
 
     def take(self, time_ns: int, key: CanKey, data: bytes, where: str) -> None:
         """Adds the values of a frame to the log; frames must come in the order of time, and be among `keys`.

@@ -18,10 +18,12 @@ class ServiceNotifier:
     """Speaks sd_notify's protocol where `NOTIFY_SOCKET` names a socket, and does nothing elsewhere."""
 
     def __init__(self) -> None:
-        """Reads the environment."""
+        """Reads the environment; a watchdog for another process is none for this one."""
         self._address = os.environ.get("NOTIFY_SOCKET", "")
         interval_us = os.environ.get("WATCHDOG_USEC", "")
-        self._interval_s = int(interval_us) / 2e6 if interval_us.isdecimal() and len(interval_us) < 20 else 0.0
+        is_ours = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        is_number = interval_us.isdecimal() and len(interval_us) < 20
+        self._interval_s = int(interval_us) / 2e6 if is_number and is_ours else 0.0
         self._beat_s: float | None = None
 
     def beat(self) -> None:
@@ -29,10 +31,11 @@ class ServiceNotifier:
         now_s = time.monotonic()
         if self._beat_s is None:
             self._send("READY=1")
-        elif not self._interval_s or now_s - self._beat_s < self._interval_s:
+        elif now_s - self._beat_s < self._interval_s:
             return
         self._beat_s = now_s
-        self._send("WATCHDOG=1")
+        if self._interval_s:
+            self._send("WATCHDOG=1")
 
     def close(self) -> None:
         """Asks for `CLOSING_S`, in which no WATCHDOG comes; does nothing without a watchdog."""
