@@ -33,7 +33,7 @@ def test_rays_are_the_cameras(seen: Camera) -> None:
 def test_the_latest_camera_counts() -> None:
     """Same intrinsics in another place, other intrinsics, and back."""
     pixels = np.array([[10.0, 20.0], [1200.5, 900.5]])
-    moved = dataclasses.replace(PVDN_LIKE, vehicle_from_camera=Pose(np.zeros(3), rotation(0.5)))
+    moved = dataclasses.replace(PVDN_LIKE, vehicle_from_camera=Pose(np.array([0.0, 0.0, 1.0]), rotation(0.5)))
     caster = RayCaster()
     for seen in (PVDN_LIKE, moved, STRONG, camera(), PVDN_LIKE):
         assert caster.cast(seen, pixels).directions.tolist() == RayCaster().cast(seen, pixels).directions.tolist()

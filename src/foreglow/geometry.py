@@ -274,7 +274,7 @@ def check_distortion(
         ValueError: If it folds over at one of `NUM_CHECKED_NODES` pixels a side, or another number is not of a camera.
     """
     if any(distortion):
-        camera = Camera(*size_px, focal_px, centre_px, distortion, Pose(np.array([0.0, 0.0, 1.0]), np.eye(3)))
+        camera = Camera(*size_px, focal_px, centre_px, distortion, Pose(np.zeros(3), np.eye(3)))
         columns_px, rows_px = (np.linspace(0.0, side_px, NUM_CHECKED_NODES) for side_px in size_px)
         camera.node_rays(columns_px, rows_px, field)
 
@@ -293,8 +293,8 @@ class Camera:
         mount_sigmas: How well that pose is known.
 
     Raises:
-        ValueError: If a field is of a wrong type or number, a size is not positive or beyond `MAX_IMAGE_SIDE_PX`, a
-            number is not finite or not of a lens, or the pose is not one of a camera that looks ahead.
+        ValueError: If a field is of a wrong type or number, a size is not positive or beyond `MAX_IMAGE_SIDE_PX`, or a
+            number is not finite or not of a lens.
     """
 
     width_px: int
@@ -329,7 +329,6 @@ class Camera:
         check_centre(self.centre_px, (self.width_px, self.height_px), "Camera.centre_px")
         if max(map(abs, self.distortion)) > MAX_DISTORTION:
             raise ValueError(f"Camera.distortion: expected at most {MAX_DISTORTION:g}, got {self.distortion}")
-        check_mount(self.vehicle_from_camera, "Camera.vehicle_from_camera")
 
     def has_shape_of(self, width_px: int, height_px: int) -> bool:
         """Whether an image of this size has the aspect ratio of the camera's, to a pixel, so that it may be scaled."""

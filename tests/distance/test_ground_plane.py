@@ -57,16 +57,11 @@ def test_an_unknown_pitch_is_that_at_rest(motion: EgoMotion | None) -> None:
     assert (fixed.ranges_m, fixed.sigmas_m) == (asked.ranges_m, asked.sigmas_m)
 
 
-@pytest.mark.parametrize("pitch_rad", [0.0, 1e-12, 0.01, 1.0])
+@pytest.mark.parametrize("pitch_rad", [0.0, 1e-12, 0.01, 0.7])
 def test_nothing_is_on_the_road_at_and_above_the_horizon(pitch_rad: float) -> None:
     found = ranges("gp", frame(camera(pitch_rad=pitch_rad)))
     assert np.isnan(found.ranges_m).all()
     assert np.isinf(found.sigmas_m).all()
-
-
-@pytest.mark.parametrize(("height_m", "pitch_rad"), [(0.0, -0.1), (-1.0, -0.1), (-1.0, 0.1), (1.25, math.pi / 2)])
-def test_a_camera_that_is_not_above_the_road_sees_none(height_m: float, pitch_rad: float) -> None:
-    assert np.isnan(range_m("gp", frame(camera(height_m, pitch_rad=pitch_rad))))
 
 
 def test_sigma_by_hand() -> None:

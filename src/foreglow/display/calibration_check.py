@@ -119,11 +119,9 @@ def check_lines(camera: Camera) -> list[str]:
 def warnings_of(camera: Camera) -> list[str]:
     """What is hardly true of a camera that looks along the road; empty if nothing is."""
     figures, found = CameraFigures.of(camera), []
-    if figures.height_m <= 0:
-        found.append(f"the camera is not above the road: height {figures.height_m:g} m; no grid can be drawn")
     x, y = figures.vanishing_px
-    if not np.isfinite(x):
-        found.append("the camera does not look along the drive: the way ahead is outside its field of view")
+    if not 0 <= x < camera.width_px:
+        found.append(f"the camera does not look along the drive, which is outside the image: column {x:.0f}")
     elif not 0 <= y < camera.height_px:
         found.append(f"the horizon is outside the image: row {y:.0f} of {camera.height_px}")
     for name, centre_px, side_px in zip("xy", camera.centre_px, (camera.width_px, camera.height_px), strict=True):

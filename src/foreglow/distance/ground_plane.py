@@ -35,9 +35,9 @@ class GroundPlane(PixelwiseEstimator):
     """
 
     def pixel_ranges(self, frame: Frame, rays: Rays) -> tuple[Floats, Floats]:
-        """The r at which o + r d has z = 0; NaN at and above the horizon, and for a camera below the plane."""
+        """The r at which o + r d has z = 0; NaN at and above the horizon."""
         height_m, descents = rays.origin_m[2], -rays.directions[:, 2]
-        is_hit = (descents > MIN_DESCENT) & (height_m > 0)
+        is_hit = descents > MIN_DESCENT
         sines = np.where(is_hit, descents, 1.0)
         ranges_m = np.where(is_hit, height_m / sines, np.nan)  # paper, GP
         angle_sigma_rad = math.hypot(rays.pitch_sigma_rad, ROAD_SIGMA_RAD)

@@ -11,7 +11,7 @@ from types import MappingProxyType, NoneType
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import Camera, checked_floats, checked_number
+from foreglow.geometry import Camera, check_mount, checked_floats, checked_number
 from foreglow.types.arrays import Image, Value, check_unmasked, checked_time_ns, frozen_view
 from foreglow.wording import shortened
 
@@ -146,8 +146,9 @@ class Frame(Value):
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, has masked pixels, or is neither uint8 nor uint16,
-            the camera is for images of another size, the number or the time is no whole number of 64 bits, another
-            field is of a wrong type, the earlier image is not earlier, or the chroma has another shape or type.
+            the camera is for images of another size or not mounted as one that looks ahead, the number or the time is
+            no whole number of 64 bits, another field is of a wrong type, the earlier image is not earlier, or the
+            chroma has another shape or type.
     """
 
     image: Image
@@ -192,6 +193,8 @@ class Frame(Value):
                 f"{origin}Frame.camera: expected a Camera, such as of foreglow.calibration.read_calibration(path), "
                 f"got {type(self.camera).__name__}"
             )
+        if self.camera is not None:
+            check_mount(self.camera.vehicle_from_camera, f"{origin}Frame.camera.vehicle_from_camera")
         if self.camera is not None and (self.camera.height_px, self.camera.width_px) != self.image.shape:
             raise ValueError(
                 f"{origin}Frame.camera: expected a calibration for images of {self.image.shape[1]}x"

@@ -142,8 +142,12 @@ def test_a_recorded_camera_of_no_lens_is_refused() -> None:
     fields = json.loads(FrameMessage.of(Frame(IMAGE, 0, camera=camera)).to_json())
     for name, value, complaint in (
         ("width", 2**70, "Camera: expected a size of 1x1 to"),
-        ("position_m", [1.9, 300.0, 1.3], r"position_m: expected a camera at most 30 m"),
-        ("rotation", [[-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]], "rotation: expected yaw, pitch and roll of at most 45"),
+        ("position_m", [1.9, 300.0, 1.3], r"camera\.position_m: expected a camera at most 30 m"),
+        (
+            "rotation",
+            [[-1.0, 0, 0], [0, -1.0, 0], [0, 0, 1.0]],
+            r"camera\.rotation: expected yaw, pitch and roll of at most 45",
+        ),
         ("focal_px", [1.0, 60.0], "focal_px: expected focal lengths in pixels"),
         ("centre_px", [1e6, 24.0], "centre_px: expected a principal point at most 128 px outside"),
         ("distortion", [-3.0, 0.0, 0.0, 0.0, 0.0], "distortion: expected one that can be undone everywhere in"),

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma
 from foreglow.datasets.json_files import Record, StoredAs, adapter
-from foreglow.geometry import Camera, Floats, MountSigmas, Pose, check_distortion
+from foreglow.geometry import Camera, Floats, MountSigmas, Pose, check_distortion, check_mount
 from foreglow.types import EgoMotion, Frame, Image, RoadAhead
 
 FRAME_TOPIC = "/frame"
@@ -69,6 +69,7 @@ def _stored_camera(camera: Camera) -> _StoredCamera:
 @lru_cache(maxsize=8)  # the same camera for each frame: estimators keep results by camera
 def _camera(stored: _StoredCamera) -> Camera:
     mount = Pose(np.array(stored.position_m), np.array(stored.rotation))
+    check_mount(mount, "camera")
     size_px = stored.width, stored.height
     check_distortion(size_px, stored.focal_px, stored.centre_px, stored.distortion, "distortion")
     sigmas = MountSigmas(*stored.mount_sigmas)

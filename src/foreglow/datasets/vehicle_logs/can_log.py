@@ -332,7 +332,7 @@ class CanDecoder:
 
     @property
     def motion(self) -> dict[str, str]:
-        """The messages of `speed` and `yaw_rate`, without which the motion is not known; empty if it decodes neither."""
+        """The messages of `speed` and `yaw_rate`, which a motion needs both; empty if it decodes neither."""
         return {name: part.message for name, part in self._mapping.sections() if name in ("speed", "yaw_rate")}
 
     def take(self, time_ns: int, key: CanKey, data: bytes, where: str) -> None:
