@@ -27,7 +27,7 @@ from foreglow.datasets.exchange.marks import (
     unknown_attributes,
 )
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.own_files import LABELS_INFO
+from foreglow.own_files import labels_mark
 from foreglow.wording import shortened
 
 IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
@@ -198,5 +198,6 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
         {"id": index, "name": str(kind), "supercategory": "", "keypoints": ["point"], "skeleton": []}
         for kind, index in IDS.items()
     ]
-    file = {"info": LABELS_INFO, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
+    info = {"description": labels_mark("coco")}
+    file = {"info": info, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
     return json.dumps(file, indent=1) + "\n", +lost

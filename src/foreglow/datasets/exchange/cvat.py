@@ -31,6 +31,7 @@ from foreglow.datasets.exchange.marks import (
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.files import number_in
 from foreglow.maps.xml_file import number_of, read_xml
+from foreglow.own_files import labels_mark
 from foreglow.wording import shortened
 
 MAX_SIZE_PX = 2**20
@@ -238,7 +239,7 @@ def cvat_text(labels: LabelSet) -> tuple[str, Counter[str]]:
             SubElement(element, "tag", {"label": category.name.lower(), "source": "manual"})
         for mark in image.marks:
             _add_point(element, mark, {"label": str(mark.kind), "source": "manual"})
-    return _text(root), Counter()
+    return _text(root, "cvat"), Counter()
 
 
 def cvat_video_text(labels: LabelSet) -> tuple[str, Counter[str]]:
@@ -265,7 +266,7 @@ def cvat_video_text(labels: LabelSet) -> tuple[str, Counter[str]]:
             if frame + 1 not in marks and frame + 1 < len(labels.images):
                 _add_point(track, mark, {"frame": str(frame + 1), "keyframe": "1", "outside": "1"})
     lost = Counter({"category of an image": sum(len(image.categories) for image in labels.images)})
-    return _text(root), +lost
+    return _text(root, "cvat-video"), +lost
 
 
 def _root(num_images: int, mode: str, size_px: tuple[int, int] | None) -> Element:
@@ -309,6 +310,7 @@ def _add_point(parent: Element, mark: Mark, about: dict[str, str]) -> None:
         SubElement(element, "attribute", {"name": name}).text = str(value).lower()
 
 
-def _text(root: Element) -> str:
+def _text(root: Element, name: str) -> str:
     ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    head = f'<?xml version="1.0" encoding="utf-8"?>\n<!-- {labels_mark(name)} -->\n'
+    return head + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -29,6 +29,7 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
 )
 from foreglow.datasets.json_files import Record, read_json
+from foreglow.own_files import labels_mark
 from foreglow.wording import shortened
 
 _UPLOADED = re.compile(r"^[0-9a-f]{8}-")
@@ -201,7 +202,7 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
         labels: The labels.
         is_guess: Whether they are predictions, which a person has yet to accept.
     """
-    tasks = []
+    tasks: list[dict[str, Any]] = []
     for task_id, image in enumerate(labels.images, start=1):
         result: list[dict[str, Any]] = []
         for index, mark in enumerate(image.marks):
@@ -211,7 +212,8 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
             result.append(_part("categories", "choices", "category", {"choices": choices}))
         key = "predictions" if is_guess else "annotations"
         data = {"image": f"/data/local-files/?d={quote(image.name)}"}
-        tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
+        mark = {} if tasks else {"meta": {"about": labels_mark("label-studio")}}
+        tasks.append({"id": task_id, **mark, "data": data, key: [{"id": task_id, "result": result}]})
     return json.dumps(tasks, indent=1) + "\n", Counter()
 
 

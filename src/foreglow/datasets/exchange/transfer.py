@@ -32,6 +32,7 @@ from foreglow.datasets.source import FrameSource
 from foreglow.datasets.vehicle_data import origin_of
 from foreglow.datasets.video import Video
 from foreglow.folder_lock import FolderLock
+from foreglow.own_files import labels_format, with_labels_digest
 from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
 
@@ -170,12 +171,15 @@ def check_target(path: Path, name: str) -> None:
     """Passes a format and a file that has its ending, so that it can be read again.
 
     Raises:
-        ValueError: If there is no such format, or the ending is another.
+        ValueError: If there is no such format, the ending is another, or labels in another format are there.
     """
     if name not in LABEL_FORMATS:
         raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
     if path.suffix.lower() != LABEL_FORMATS[name].suffix:
         raise ValueError(f"{path}: expected a name ending in {LABEL_FORMATS[name].suffix} for {name}")
+    there = labels_format(path) if path.is_file() else None
+    if there not in (None, name):
+        raise ValueError(f"{path}: expected nothing there but labels as {name}, got {there}; choose another name")
 
 
 def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool = False) -> Counter[str]:
@@ -191,7 +195,7 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
         for image in labels.images:
             plain_path(image.name, f"{labels.origin or path}: name of an image")
     text, lost = (form.guess_text if is_guess else form.text)(labels)
-    write_atomic(path, text.encode())
+    write_atomic(path, with_labels_digest(text))
     return Counter(labels.lost) + lost
 
 
