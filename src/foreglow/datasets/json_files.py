@@ -147,8 +147,12 @@ def write_json(path: Path, record: BaseModel) -> None:
     Raises:
         OSError: If it cannot be written; `path` is then as it was before.
     """
-    value = record.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    write_atomic(path, json.dumps(value, indent=1).encode())
+    write_atomic(path, json_bytes(record))
+
+
+def json_bytes(record: BaseModel) -> bytes:
+    """What `write_json` writes."""
+    return json.dumps(record.model_dump(mode="json", by_alias=True, exclude_unset=True), indent=1).encode()
 
 
 def _printable(key: str) -> str:
