@@ -27,6 +27,7 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
     truth,
     unknown_attributes,
+    unused,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.files import number_in
@@ -104,8 +105,9 @@ def _marks(
         lost.update(unknown_attributes(given))
         lost.update(f"element {shortened(each.tag)} of a shape" for each in shape if each.tag != "attribute")
         oid, iid = (number(given.get(name), f"{where} {name}") for name in ("oid", "iid"))
+        is_direct, is_rear = (truth(given.get(name, False), f"{where} {name}") for name in ("direct", "rear"))
+        lost.update(unused(Kind(label), oid, iid, is_rear=is_rear))
         iid = number(track_id, f"{where} id") if iid is None else iid
-        is_direct, is_rear = (truth(given.get(name), f"{where} {name}") for name in ("direct", "rear"))
         points = _points(shape, where)
         if len(points) > 1 and iid is not None and label != Kind.VEHICLE:
             raise ValueError(f"{where} points: expected one point of light {iid}, got {len(points)}")
@@ -212,8 +214,10 @@ def _frames(root: Element, path: Path) -> range:
     if stop is None and size is not None:
         stop = first + (size - 1) * step
     if stop is None:
-        numbers = (number(shape.get("frame"), f"{path}: frame") or 0 for shape in root.iterfind("track/*"))
-        stop = max(numbers, default=first - 1)
+        numbers = [number(shape.get("frame"), f"{path}: frame") or 0 for shape in root.iterfind("track/*")]
+        if not numbers:
+            raise ValueError(f"{path}: expected images, tracks with shapes, or the size of a task in meta, found none")
+        stop = max(numbers)
     count = (stop - first) // step + 1
     if first < 0 or not 1 <= count <= MAX_IMAGES:
         raise ValueError(f"{path}: meta: expected 1 to {MAX_IMAGES} frames, got {count} from {first}")

@@ -28,7 +28,7 @@ from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import schema
 from foreglow.datasets.pvdn.schema import ImageCategory, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, check_new_split
-from foreglow.datasets.source import FrameSource
+from foreglow.datasets.source import FrameSource, also_left_out
 from foreglow.datasets.vehicle_data import origin_of
 from foreglow.datasets.video import Video
 from foreglow.folder_lock import FolderLock
@@ -155,7 +155,8 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
     if waiting:
-        raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}")
+        reason = also_left_out(frames.skipped)
+        raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}{reason}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
     return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=str(origin_of(frames) or frames.name))
