@@ -235,55 +235,6 @@ def test_a_drive_with_an_image_of_which_a_bit_is_flipped_is_made_again(
     assert digest(tmp_path / "DATA") == digest(whole)
 
 
-@pytest.mark.parametrize(
-    ("name", "old", "new"),
-    [
-        ("keypoints/020001.json", '"pos": [', '"pos": [\n 1, '),
-        ("keypoints/020000.json", '"image_id": ', '"note": "mine", "image_id": '),
-        ("sequences.json", '"weather": ', '"weather": 1'),
-        ("sequences.json", "{", ""),
-        ("image_annotations.json", '"timestamp": ', '"timestamp": 1'),
-        ("image_annotations.json", '"annotations": [', '"annotations": [{"id": 99}, '),
-    ],
-)
-@pytest.mark.parametrize("lost", [None, "images/S00002/020001.png"])
-def test_labels_that_were_corrected_since_stay(
-    name: str, old: str, new: str, lost: str | None, whole: Path, tmp_path: Path
-) -> None:
-    """They were made again without a word; also with a drive that is made again."""
-    root = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train"
-    path = root / "labels" / name
-    before = path.read_text()
-    path.write_text(changed := before.replace(old, new, 1))
-    if lost is not None:
-        (root / lost).unlink()
-    for _ in range(2):
-        with pytest.raises(ValueError, match=rf"{re.escape(str(path))}: expected the labels that simulate wrote, got "):
-            simulate_dataset(tmp_path / "DATA", SCENES, drive)
-        assert path.read_text() == changed != before
-    path.unlink()
-    simulate_dataset(tmp_path / "DATA", SCENES, drive)
-    assert digest(tmp_path / "DATA") == digest(whole)
-
-
-def test_corrected_labels_are_told_before_anything_is_driven(tmp_path: Path) -> None:
-    simulate_dataset(tmp_path, SCENES[:1], drive)
-    path = tmp_path / "night/train/labels/keypoints/010001.json"
-    path.write_text("{}")
-    driven: list[int] = []
-    with pytest.raises(ValueError, match=r"010001.json: expected the labels that simulate wrote"):
-        simulate_dataset(tmp_path, SCENES, functools.partial(_noted, driven))
-    assert not driven
-
-
-def test_labels_that_are_as_they_were_are_not_written_again(tmp_path: Path) -> None:
-    """`annotate` goes by their times."""
-    simulate_dataset(tmp_path, SCENES, drive)
-    times = {path: path.stat().st_mtime_ns for path in (tmp_path / "night/train/labels").rglob("*.json")}
-    simulate_dataset(tmp_path, SCENES, drive)
-    assert {path: path.stat().st_mtime_ns for path in times} == times
-
-
 def test_a_refusal_leaves_the_labels(whole: Path, tmp_path: Path) -> None:
     """A damaged scene is not made again, since nothing else says what was driven; the rest stays readable."""
     root = Path(shutil.copytree(whole, tmp_path / "DATA")) / "night/train"
