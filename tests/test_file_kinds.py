@@ -99,20 +99,49 @@ def test_files_of_users_stay(name: str, text: str, tmp_path: Path) -> None:
     [
         ("CALIBRATION.toml", lambda text: text.replace("position_m", "position_m  ")),
         ("LABELS-cvat.xml", lambda text: text.replace("<task>", "<task>\n<id>7</id>")),
-        ("LABELS-coco.json", lambda text: text.replace("labels of Foreglow", "")),
-        (
-            "LABELS-label-studio.json",
-            lambda text: json.dumps([{**task, "updated_at": ""} for task in json.loads(text)]),
-        ),
+        ("LABELS-cvat.xml", lambda text: text.replace(' points="', ' points="1', 1)),
+        ("LABELS-cvat-video.xml", lambda text: text.replace(' points="', ' points="1', 1)),
+        ("LABELS-coco.json", lambda text: json.dumps(json.loads(text))),
+        ("LABELS-coco.json", lambda text: re.sub(r'"keypoints": \[\s+\d', '"keypoints": [1', text, count=1)),
+        ("LABELS-coco.json", lambda text: text.replace("Written by", "By", 1)),
+        ("LABELS-label-studio.json", lambda text: text.replace('"x": ', '"x": 1', 1)),
+        ("LABELS-label-studio.json", lambda text: json.dumps(json.loads(text)[1:])),
+        ("LABELS-guess.json", lambda text: text.replace('"predictions"', '"annotations"', 1)),
+        ("LABELS-guess.json", lambda text: text + "\n"),
     ],
 )
 def test_what_was_corrected_since_stays(name: str, change: Callable[[str], str], home: Path, tmp_path: Path) -> None:
     """A calibration by hand, as its comment asks for, and labels in a tool."""
     path, kind = tmp_path / name, KINDS[re.split(r"[-.]", name)[0]]
-    path.write_text((home / f"made_{name}").read_text())
+    before = (home / f"made_{name}").read_text()
+    path.write_text(before)
     assert kind.may_replace(path)
-    path.write_text(change(path.read_text()))
+    path.write_text(change(before))
+    assert path.read_text() != before
     assert not kind.may_replace(path)
+
+
+@pytest.mark.parametrize("name", ["cvat", "cvat-video", "coco", "label-studio"])
+@pytest.mark.parametrize("is_guess", [False, True])
+def test_labels_that_were_corrected_are_not_exported_over(
+    name: str, is_guess: bool, home: Path, tmp_path: Path
+) -> None:
+    source = home / "data" / "night" / "val" / "images" / "S00001"
+    run = ("--run", tmp_path / "run") if is_guess else ()
+    if is_guess:
+        done("run", source, "--out", tmp_path / "run")
+    path = tmp_path / ("mine.xml" if name.startswith("cvat") else "mine.json")
+    words = ("labels", "export", source, "--format", name, "--out", path, *run)
+    done(*words)
+    written = path.read_bytes()
+    done(*words)
+    assert path.read_bytes() == written
+    others = {"cvat": "cvat-video", "cvat-video": "cvat", "coco": "label-studio", "label-studio": "coco"}
+    other = ("labels", "export", source, "--format", others[name], "--out", path, *run)
+    assert f"{path}: expected nothing there but labels as {others[name]}, got {name}" in complaint(*other)
+    path.write_bytes(changed := re.sub(rb"(\d)(\D*)$", rb"7\1\2", written))
+    assert f"{path}: expected nothing there but unchanged labels that Foreglow wrote" in complaint(*words)
+    assert path.read_bytes() == changed != written
 
 
 def test_the_commands_refuse(home: Path, tmp_path: Path) -> None:

@@ -98,6 +98,35 @@ def with_digest(toml: str) -> str:
     return f"# Written by Foreglow, {_digest(toml.encode())}: after a change by hand it is not overwritten\n{toml}"
 
 
+def labels_mark(name: str) -> str:
+    """A text for the beginning of a file of labels in the format called `name`, with room for its digest."""
+    return f"Written by Foreglow as {name}, {_NO_DIGEST}: after a change it is not overwritten"
+
+
+def with_labels_digest(text: str) -> bytes:
+    """A file of labels that has the `labels_mark`, with the digest of the whole file in it."""
+    data = text.encode()
+    return data.replace(_NO_DIGEST.encode(), _digest(data).encode(), 1)
+
+
+def labels_format(path: Path) -> str | None:
+    """The format in which `labels export` wrote the file at `path`; None if it did not, or it was changed since.
+
+    Raises:
+        OSError: If there is no such file, or it cannot be read.
+    """
+    head = _head(path)
+    found = _LABELS_MARK.search(head)
+    if found is None:
+        return None
+    digest = hashlib.sha256(head[: found.start(2)] + _NO_DIGEST.encode() + head[found.end(2) :])
+    with path.open("rb") as file:
+        file.seek(len(head))
+        while piece := file.read(MAX_LINE):
+            digest.update(piece)
+    return found[1].decode() if digest.hexdigest()[: len(_NO_DIGEST)].encode() == found[2] else None
+
+
 def named_png(png: bytes, title: str) -> bytes:
     """A PNG with its title, by which it is known as ours."""
     body = b"tEXtTitle\0" + title.encode("latin-1")
@@ -105,8 +134,14 @@ def named_png(png: bytes, title: str) -> bytes:
     return png[:_PNG_HEADER] + chunk + png[_PNG_HEADER:]
 
 
+_NO_DIGEST = "0" * 16
+"""In place of a file's digest, while that is made."""
+
+_LABELS_MARK = re.compile(rb"Written by Foreglow as ([a-z-]+), ([0-9a-f]{16}): ")
+
+
 def _digest(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()[:16]
+    return hashlib.sha256(text).hexdigest()[: len(_NO_DIGEST)]
 
 
 def _head(path: Path) -> bytes:
@@ -188,21 +223,6 @@ def _is_annotation(path: Path) -> bool:
     )
 
 
-def _is_labels(path: Path) -> bool:
-    """Those that an annotation tool has written since have other headings; of Label Studio, other fields."""
-    head = _head(path)
-    if path.suffix.lower() == ".xml":
-        return re.search(rb"<meta>\s*<task>\s*<name>foreglow</name>\s*<size>", head) is not None
-    if head.lstrip().startswith(b"{"):
-        return re.match(rb'\{\s*"info": \{\s*"description": "labels of Foreglow"', head) is not None
-    tasks = json.loads(_whole(path))
-    return isinstance(tasks, list) and all(
-        task.keys() in ({"id", "data", "annotations"}, {"id", "data", "predictions"})
-        and all(each.keys() == {"id", "result"} for key in task.keys() - {"id", "data"} for each in task[key])
-        for task in tasks
-    )
-
-
 def _is_predictions(path: Path) -> bool:
     found = json.loads(_whole(path))
     return _has(found) and all(_has(image, "boxes", "scores") for image in found.values())
@@ -233,9 +253,7 @@ QUALITY = FileKind(
     lambda path: _has(json.loads(_whole(path)), "precision", "q_k", "num_images", "is_complete"),
 )
 ANNOTATION = FileKind("numbers of `annotate`", (".json",), _is_annotation)
-LABELS = FileKind("unchanged labels", (".xml", ".json"), _is_labels)
-LABELS_INFO = {"description": "labels of Foreglow"}
-"""Heading of labels in COCO's format."""
+LABELS = FileKind("unchanged labels", (".xml", ".json"), lambda path: labels_format(path) is not None)
 PREDICTIONS = FileKind("predictions of the same form", (".json",), _is_predictions)
 RANGE_MODEL = FileKind(
     "a model of the ranges",

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+import json
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from foreglow.own_files import is_left, is_own, is_result_of_run
-from foreglow.whole_files import partial_path
+from foreglow.whole_files import partial_path, write_atomic
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -39,6 +41,12 @@ RESULT_FILES = (
     "scenes.jsonl",
 )
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
+
+CHECKSUMS = "checksums.json"
+"""The file of an export that has the CRC-32 of the others by their paths in it: a list, for what is there meanwhile."""
+
+_PIECE = 1 << 20
+"""Bytes that are read at once."""
 
 RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
 """The files by which the folders of a run, of a training and of a search are known."""
@@ -155,6 +163,77 @@ def check_made_together(files: Sequence[Path]) -> None:
     there = [path for path in files if path.exists()]
     if there and len(there) < len(files):
         raise ValueError(_words_on_foreign(there[0]))
+
+
+def check_unchanged(folder: Path, names: Iterable[str] | None = None) -> dict[str, int]:
+    """The checksums of the files that an export has written into `folder`, by their paths there, and nobody changed.
+
+    Those that are gone are left out; an export of an early version has no checksums.
+
+    Args:
+        folder: The folder.
+        names: Only these files; None for all.
+
+    Raises:
+        ValueError: If somebody has changed one, or the record of the checksums; the message names it.
+        OSError: If one cannot be read.
+    """
+    known = _known_checksums(folder)
+    found = {}
+    for name in known if names is None else known.keys() & set(names):
+        path = folder / name
+        if path.is_file():
+            found[name] = _checksum(path)
+            if found[name] not in known[name]:
+                raise ValueError(
+                    f"{path}: expected the file that was exported, got a changed one, which stays; choose another "
+                    "folder, or remove it and export again"
+                )
+    return found
+
+
+def missing_files(folder: Path) -> list[Path]:
+    """The files that an export has written into `folder`, and that are no longer there."""
+    return [folder / name for name in _known_checksums(folder) if not (folder / name).is_file()]
+
+
+def announce(folder: Path, checksums: Mapping[str, int]) -> None:
+    """Adds to the record of an earlier export what will replace its files, which are then known in either state.
+
+    Raises:
+        OSError: If the record cannot be written.
+    """
+    known = _known_checksums(folder)
+    if known:
+        both = known | {name: [*known.get(name, []), checksum] for name, checksum in checksums.items()}
+        write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0).encode())
+
+
+def checksums_file(checksums: Mapping[str, int], folder: Path | None = None) -> bytes:
+    """The record of an export with these checksums, and those of the other files of an earlier one in `folder`."""
+    known = {} if folder is None else _known_checksums(folder)
+    return json.dumps(known | {name: [checksum] for name, checksum in checksums.items()}, indent=0).encode()
+
+
+def _known_checksums(folder: Path) -> dict[str, list[int]]:
+    path = folder / CHECKSUMS
+    if not path.is_file():
+        return {}
+    try:
+        known = json.loads(path.read_bytes())
+        if all(isinstance(sums, list) and all(isinstance(each, int) for each in sums) for sums in known.values()):
+            return dict(known)
+    except (ValueError, RecursionError, AttributeError):  # the file may be anything
+        pass
+    raise ValueError(f"{path}: expected the checksums of an export, got something else; remove the export")
+
+
+def _checksum(path: Path) -> int:
+    found = 0
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE):
+            found = zlib.crc32(piece, found)
+    return found
 
 
 def _words_on_foreign(path: Path) -> str:

@@ -32,6 +32,16 @@ def shortened(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+def csv_words(error: Exception) -> str:
+    r"""What is wrong in a file that Python's `csv` cannot read, without its advice to programmers.
+
+    >>> csv_words(ValueError("new-line character seen in unquoted field - do you need to open the file ..."))
+    'a carriage return within a line'
+    """
+    words = str(error)
+    return "a carriage return within a line" if words.startswith("new-line character seen") else words
+
+
 def check_one_of(value: object, choices: Any, field: str) -> None:
     """Passes one of some texts: Python callers may give anything, whatever the signature says.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from foreglow import read_config
 from foreglow.config import BeamConfig, config_to_toml
 from foreglow.datasets import shipped_drive
 from foreglow.photometry.headlamps import SHIPPED
+from foreglow.runs.recorded_run import read_frames, read_run
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, without_digest
 
 NUM_FRAMES = 24
@@ -127,6 +129,26 @@ def test_what_an_interrupted_run_lacks_its_beam_lacks_too(tmp_path: Path, run: P
     said = beam(run, "--out", tmp_path / "whole", "--limit", 3)
     assert "incomplete" not in said
     assert json.loads((tmp_path / "whole/summary.json").read_text())["is_complete"] is True
+
+
+def test_an_image_that_was_damaged_since_the_run_is_named(
+    tmp_path: Path, images: Path, equipment: tuple[object, ...]
+) -> None:
+    """In place, so that nothing else tells; it said only that one was missing."""
+    there, run = tmp_path / "images", tmp_path / "run"
+    shutil.copytree(images, there)
+    assert foreglow_command("run", there, "--out", run, *equipment).exit_code == 0
+    damaged = sorted(there.iterdir())[5]
+    damaged.write_bytes(bytes(damaged.stat().st_size))
+    said = complaint("beam", run, "--out", tmp_path / "out", *equipment)
+    assert "images: expected the 12 frames of the run, there are 11 now; " in said
+    assert str(damaged) in said
+    said = complaint("labels", "export", there, "--run", run, "--out", tmp_path / "guess.xml")
+    assert "images: expected the frames of the run, has no frame" in said
+    assert str(damaged) in said
+    recorded = read_run(run)
+    with pytest.raises(ValueError, match=rf"images: expected .*, there are others now; {re.escape(str(damaged))}"):
+        read_frames(recorded, [result for results in recorded.sequences.values() for result in results])
 
 
 def test_a_run_whose_frames_are_no_longer_all_there(

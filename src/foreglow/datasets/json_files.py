@@ -38,8 +38,10 @@ _MESSAGES = {
     "missing": "field is missing",
     "extra_forbidden": "field is unknown",
     "unexpected_keyword_argument": "field is unknown",
+    "too_long": "expected at most {max_length} entries, got {actual_length}",
+    "too_short": "expected at least {min_length} entries, got {actual_length}",
 }
-"""Messages by pydantic's type of an error, for models and dataclasses alike."""
+"""Messages by pydantic's type of an error, for models and dataclasses alike; with values of its context."""
 
 
 _KINDS = {"str": "text", "int": "a number", "float": "a number", "bool": "true or false"}
@@ -95,7 +97,9 @@ def parse_json(data: bytes | str, model: type[Model], origin: str) -> Model:
         place = place[:-1] if is_union else place
         field = ".".join(_printable(str(part)) for part in place) or "document"
         plain = first["msg"].replace("Input should be", "expected").removeprefix("Value error, ")
-        message = _MESSAGES.get(first["type"], plain)
+        message = _MESSAGES.get(first["type"], plain).format_map(first.get("ctx", {}))
+        if first["type"] == "missing" and isinstance(place[-1], int):
+            message = "expected one more entry"
         if is_union:
             message = f"expected {' or '.join(dict.fromkeys(_KINDS[str(kind)] for kind in kinds))}"
         got = "" if first["type"] == "missing" or ", got " in message else f", got {shortened(first['input'])}"
@@ -147,8 +151,12 @@ def write_json(path: Path, record: BaseModel) -> None:
     Raises:
         OSError: If it cannot be written; `path` is then as it was before.
     """
-    value = record.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    write_atomic(path, json.dumps(value, indent=1).encode())
+    write_atomic(path, json_bytes(record))
+
+
+def json_bytes(record: BaseModel) -> bytes:
+    """What `write_json` writes."""
+    return json.dumps(record.model_dump(mode="json", by_alias=True, exclude_unset=True), indent=1).encode()
 
 
 def _printable(key: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
@@ -12,6 +12,19 @@ from foreglow.wording import check_one_of
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
 """What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does
 the same, but a frame that could be decoded although its stream is damaged comes with `Frame.is_damaged`."""
+
+
+def also_left_out(skipped: Iterable[str], known: Collection[str] = ()) -> str:
+    """What to add to a message about frames that are missing: the first part of a source that was left out.
+
+    Args:
+        skipped: `FrameSource.skipped`.
+        known: Lines of it that are not meant, as nothing is missing for them.
+
+    >>> also_left_out(["a.png: damaged", "b.png: damaged"], ["a.png: damaged"]), also_left_out([])
+    ('; b.png: damaged', '')
+    """
+    return next((f"; {line}" for line in skipped if line not in known), "")
 
 
 class FrameSource(Protocol):

@@ -17,6 +17,7 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import LabelledSource, open_source
+from foreglow.datasets.source import also_left_out
 from foreglow.files import checked_path
 from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.own_files import COCO_RESULTS, TABLE, FileKind
@@ -257,7 +258,8 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
             if len(frames) == len(wanted):
                 break
     if {number: frame.timestamp_ns for number, frame in frames.items()} != wanted:
-        raise ValueError(f"{run.summary.source}: expected the frames of the run, there are others now")
+        reason = also_left_out(source.skipped, run.summary.skipped)
+        raise ValueError(f"{run.summary.source}: expected the frames of the run, there are others now{reason}")
     return frames
 
 

@@ -20,6 +20,7 @@ from typing import Protocol
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, lost_parts
+from foreglow.datasets.source import also_left_out
 from foreglow.plugins import staying
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.origin import origin_name
@@ -145,7 +146,10 @@ def run(
             step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
             check_readable(name, tally, source.skipped)
             if origin is not None and limit is not None and tally.num_frames < limit and not interrupt.is_set:
-                raise ValueError(f"{name}: expected the {limit} frames of the run, there are {tally.num_frames} now")
+                reason = also_left_out(source.skipped, origin.skipped)
+                raise ValueError(
+                    f"{name}: expected the {limit} frames of the run, there are {tally.num_frames} now{reason}"
+                )
             for sink in all_sinks:
                 sink.close()
         is_complete = not interrupt.is_set and (origin is None or origin.is_complete)

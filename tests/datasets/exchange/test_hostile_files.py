@@ -99,6 +99,21 @@ FILES = {
         coco(annotation={"attributes": {"rear": ""}}),
         "annotations.0.attributes.rear: expected true or false, got ''",
     ),
+    "nothing for a truth value": (
+        ".json",
+        coco(annotation={"attributes": {"direct": None}}),
+        "annotations.0.attributes.direct: expected true or false, got None",
+    ),
+    "neither images nor tracks": (
+        ".xml",
+        "<annotations><version>1.1</version></annotations>",
+        "expected images, tracks with shapes, or the size of a task in meta, found none",
+    ),
+    "a track without shapes": (
+        ".xml",
+        "<annotations><meta/><track id='1' label='light'/></annotations>",
+        "expected images, tracks with shapes, or the size of a task in meta, found none",
+    ),
     "an attribute twice": (
         ".xml",
         light("oid", "3").replace("</points>", '<attribute name="oid">4</attribute></points>'),

@@ -253,7 +253,11 @@ def _delete_key(name: str, *keys: str | int) -> Callable[[Path], None]:
         ),
         (lambda root: write(root / "labels/keypoints/x.json", {}), "x.json: name: expected an image id of six digits"),
         (_edit(KEYPOINTS, "image_id", value=12), "000011.json: image_id: expected 11 as in the file's name, got 12"),
-        (_edit(KEYPOINTS, "annotations", 0, "pos", value=[1]), "annotations.0.pos.1: field is missing"),
+        (_edit(KEYPOINTS, "annotations", 0, "pos", value=[1]), "annotations.0.pos.1: expected one more entry"),
+        (
+            _edit(KEYPOINTS, "annotations", 0, "pos", value=[1, 2, 3]),
+            "annotations.0.pos: expected at most 2 entries, got 3",
+        ),
         (_edit(KEYPOINTS, "annotations", 0, "pos", value=[1, 2, 3]), "annotations.0.pos: "),
         (_edit(KEYPOINTS, "annotations", 0, "pos", value=[10**12, 2]), "annotations.0.pos.0: .*got 1000000000000"),
         (_edit(KEYPOINTS, "annotations", 0, "instances", 0, "direct", value=1), "instances.0.direct: .*got 1"),

@@ -101,6 +101,25 @@ def test_files_of_another_tool_stay(dataset: PVDN, tmp_path: Path, name: str) ->
     assert [path.read_text() for path in (tmp_path / "out").rglob("*") if path.is_file()] == ['"mine"']
 
 
+@pytest.mark.parametrize("name", ["gt/S00003/gt/gt.txt", "trackers/ours/data/S00003.txt"])
+def test_files_that_were_edited_since_stay(dataset: PVDN, tmp_path: Path, name: str) -> None:
+    """Another run may replace what this one exported, but nothing that somebody has changed."""
+    out = tmp_path / "out"
+    export_mot(dataset, BOXES, followed(0, 0, 0), out, "ours")
+    export_mot(dataset, BOXES, followed(0, 0, 0), out, "theirs")
+    export_mot(dataset, BOXES, followed(0, 1, 1), out, "ours")
+    (out / name).write_text("99,1,1,1,1,1,1,1,1\n")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    with pytest.raises(
+        ValueError, match=f"{name}: expected the file that was exported, got a changed one, which stays"
+    ):
+        export_mot(dataset, BOXES, followed(0, 0, 0), out, "ours")
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    (out / name).unlink()
+    export_mot(dataset, BOXES, followed(0, 1, 1), out, "ours")
+    assert "99," not in (out / name).read_text()
+
+
 def test_an_export_goes_into_a_new_folder(dataset: PVDN, tmp_path: Path) -> None:
     write(tmp_path / "out" / "notes.txt", "mine")
     with pytest.raises(

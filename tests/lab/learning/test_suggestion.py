@@ -122,8 +122,11 @@ def test_the_file_is_read_back(tmp_path: Path) -> None:
         ("frame\nseven\n", "line 2: frame: expected a number, got 'seven'"),
         ("x,frame\n1\n", "line 2: frame: expected a number"),
         ("frame\n-1\n", "line 2: frame: expected a number"),
+        ("frame,frame\n1,2\n", "line 1: expected one column called frame, got 2"),
+        ("sequence,frame,sequence\n1,2,3\n", "line 1: expected one column called sequence, got 2"),
+        ("frame\r1\r", "expected a CSV file, got a carriage return within a line$"),
     ):
-        path.write_text(content)
+        path.write_bytes(content.encode())
         with pytest.raises(ValueError, match=said) as caught:
             read_suggestions(path)
         assert str(caught.value).startswith(str(path))

@@ -25,9 +25,10 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
     truth,
     unknown_attributes,
+    unused,
 )
 from foreglow.datasets.json_files import Record, read_json
-from foreglow.own_files import LABELS_INFO
+from foreglow.own_files import labels_mark
 from foreglow.wording import shortened
 
 IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
@@ -123,7 +124,9 @@ def read_coco(path: Path) -> LabelSet:
         else:
             lost[UNSEEN] += bool(annotation.keypoints) and max(annotation.keypoints[2::3]) <= 0
             given = annotation.attributes
-            marks[annotation.image_id].append(_mark(Kind(name), pixel(*point, f"{origin}.keypoints"), given, origin))
+            mark = _mark(Kind(name), pixel(*point, f"{origin}.keypoints"), given, origin)
+            lost.update(unused(mark.kind, mark.oid, mark.iid, is_rear=mark.is_rear))
+            marks[annotation.image_id].append(mark)
     images = (
         ImageLabels(
             plain_path(image.file_name, f"{path}: images.{index}.file_name"),
@@ -164,8 +167,8 @@ def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], or
         position_px,
         number(given.get("oid"), f"{origin}.attributes.oid"),
         number(given.get("iid"), f"{origin}.attributes.iid"),
-        truth(given.get("direct"), f"{origin}.attributes.direct"),
-        truth(given.get("rear"), f"{origin}.attributes.rear"),
+        truth(given.get("direct", False), f"{origin}.attributes.direct"),
+        truth(given.get("rear", False), f"{origin}.attributes.rear"),
     )
 
 
@@ -198,5 +201,6 @@ def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
         {"id": index, "name": str(kind), "supercategory": "", "keypoints": ["point"], "skeleton": []}
         for kind, index in IDS.items()
     ]
-    file = {"info": LABELS_INFO, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
+    info = {"description": labels_mark("coco")}
+    file = {"info": info, "licenses": [], "images": images, "categories": categories, "annotations": annotations}
     return json.dumps(file, indent=1) + "\n", +lost

@@ -27,10 +27,12 @@ from foreglow.datasets.exchange.marks import (
     plain_path,
     truth,
     unknown_attributes,
+    unused,
 )
 from foreglow.datasets.pvdn.schema import ImageCategory
 from foreglow.files import number_in
 from foreglow.maps.xml_file import number_of, read_xml
+from foreglow.own_files import labels_mark
 from foreglow.wording import shortened
 
 MAX_SIZE_PX = 2**20
@@ -103,8 +105,9 @@ def _marks(
         lost.update(unknown_attributes(given))
         lost.update(f"element {shortened(each.tag)} of a shape" for each in shape if each.tag != "attribute")
         oid, iid = (number(given.get(name), f"{where} {name}") for name in ("oid", "iid"))
+        is_direct, is_rear = (truth(given.get(name, False), f"{where} {name}") for name in ("direct", "rear"))
+        lost.update(unused(Kind(label), oid, iid, is_rear=is_rear))
         iid = number(track_id, f"{where} id") if iid is None else iid
-        is_direct, is_rear = (truth(given.get(name), f"{where} {name}") for name in ("direct", "rear"))
         points = _points(shape, where)
         if len(points) > 1 and iid is not None and label != Kind.VEHICLE:
             raise ValueError(f"{where} points: expected one point of light {iid}, got {len(points)}")
@@ -211,8 +214,10 @@ def _frames(root: Element, path: Path) -> range:
     if stop is None and size is not None:
         stop = first + (size - 1) * step
     if stop is None:
-        numbers = (number(shape.get("frame"), f"{path}: frame") or 0 for shape in root.iterfind("track/*"))
-        stop = max(numbers, default=first - 1)
+        numbers = [number(shape.get("frame"), f"{path}: frame") or 0 for shape in root.iterfind("track/*")]
+        if not numbers:
+            raise ValueError(f"{path}: expected images, tracks with shapes, or the size of a task in meta, found none")
+        stop = max(numbers)
     count = (stop - first) // step + 1
     if first < 0 or not 1 <= count <= MAX_IMAGES:
         raise ValueError(f"{path}: meta: expected 1 to {MAX_IMAGES} frames, got {count} from {first}")
@@ -238,7 +243,7 @@ def cvat_text(labels: LabelSet) -> tuple[str, Counter[str]]:
             SubElement(element, "tag", {"label": category.name.lower(), "source": "manual"})
         for mark in image.marks:
             _add_point(element, mark, {"label": str(mark.kind), "source": "manual"})
-    return _text(root), Counter()
+    return _text(root, "cvat"), Counter()
 
 
 def cvat_video_text(labels: LabelSet) -> tuple[str, Counter[str]]:
@@ -265,7 +270,7 @@ def cvat_video_text(labels: LabelSet) -> tuple[str, Counter[str]]:
             if frame + 1 not in marks and frame + 1 < len(labels.images):
                 _add_point(track, mark, {"frame": str(frame + 1), "keyframe": "1", "outside": "1"})
     lost = Counter({"category of an image": sum(len(image.categories) for image in labels.images)})
-    return _text(root), +lost
+    return _text(root, "cvat-video"), +lost
 
 
 def _root(num_images: int, mode: str, size_px: tuple[int, int] | None) -> Element:
@@ -309,6 +314,7 @@ def _add_point(parent: Element, mark: Mark, about: dict[str, str]) -> None:
         SubElement(element, "attribute", {"name": name}).text = str(value).lower()
 
 
-def _text(root: Element) -> str:
+def _text(root: Element, name: str) -> str:
     ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    head = f'<?xml version="1.0" encoding="utf-8"?>\n<!-- {labels_mark(name)} -->\n'
+    return head + ElementTree.tostring(root, encoding="unicode") + "\n"

@@ -27,8 +27,10 @@ from foreglow.datasets.exchange.marks import (
     number,
     pixel,
     plain_path,
+    unused,
 )
 from foreglow.datasets.json_files import Record, read_json
+from foreglow.own_files import labels_mark
 from foreglow.wording import shortened
 
 _UPLOADED = re.compile(r"^[0-9a-f]{8}-")
@@ -156,7 +158,9 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
         size_px = found_px
         choices = _texts(said.get(key, {}).get("is", {}).get("choices"), where)
         lost.update(f"choice {shortened(choice)}" for choice in choices if choice not in ("direct", "rear"))
-        marks.append(_mark(Kind(names[0]), region.value, size_px, said.get(key, {}), where))
+        mark = _mark(Kind(names[0]), region.value, size_px, said.get(key, {}), where)
+        lost.update(unused(mark.kind, mark.oid, mark.iid, is_rear=mark.is_rear))
+        marks.append(mark)
     return ImageLabels(name, size_px, tuple(marks), tuple(categories))
 
 
@@ -201,7 +205,7 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
         labels: The labels.
         is_guess: Whether they are predictions, which a person has yet to accept.
     """
-    tasks = []
+    tasks: list[dict[str, Any]] = []
     for task_id, image in enumerate(labels.images, start=1):
         result: list[dict[str, Any]] = []
         for index, mark in enumerate(image.marks):
@@ -211,7 +215,8 @@ def label_studio_text(labels: LabelSet, *, is_guess: bool = False) -> tuple[str,
             result.append(_part("categories", "choices", "category", {"choices": choices}))
         key = "predictions" if is_guess else "annotations"
         data = {"image": f"/data/local-files/?d={quote(image.name)}"}
-        tasks.append({"id": task_id, "data": data, key: [{"id": task_id, "result": result}]})
+        about = {} if tasks else {"meta": {"about": labels_mark("label-studio")}}
+        tasks.append({"id": task_id, **about, "data": data, key: [{"id": task_id, "result": result}]})
     return json.dumps(tasks, indent=1) + "\n", Counter()
 
 

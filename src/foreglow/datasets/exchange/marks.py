@@ -121,6 +121,17 @@ def unknown_attributes(given: Mapping[str, object], ignored: Collection[str] = (
     return [f"attribute {shortened(name)}" for name in names if name not in ATTRIBUTES and name not in ignored]
 
 
+def unused(kind: Kind, oid: int | None, iid: int | None, *, is_rear: bool) -> list[str]:
+    """What is said of a point of this kind and not taken, for `LabelSet.lost`: what only other kinds have.
+
+    >>> unused(Kind.VEHICLE, 3, 7, is_rear=True), unused(Kind.DOUBTFUL, 3, 7, is_rear=True)
+    (["'iid' of a vehicle", "'rear' of a vehicle"], ["'oid' of doubtful light"])
+    """
+    if kind == Kind.VEHICLE:
+        return [f"'{name}' of a vehicle" for name, is_said in (("iid", iid is not None), ("rear", is_rear)) if is_said]
+    return ["'oid' of doubtful light"] if kind == Kind.DOUBTFUL and oid is not None else []
+
+
 def marks_of(vehicles: Iterable[Vehicle], doubtful: Iterable[Instance] = ()) -> tuple[Mark, ...]:
     """The points of vehicles, of their lights, and of doubtful light."""
     marks = []
@@ -236,14 +247,14 @@ def number(value: object, origin: str) -> int | None:
 
 
 def truth(value: object, origin: str) -> bool:
-    """The truth value in an attribute; False where there is none. An empty text is a value, which nobody can know.
+    """The truth value in an attribute that is there. An empty text or nothing is a value, which nobody can know.
 
     Raises:
         ValueError: If it is none; the message begins with `origin`.
     """
-    values = {None: False, False: False, True: True, "false": False, "true": True}
+    values = {False: False, True: True, "false": False, "true": True}
     key = value.strip().lower() if isinstance(value, str) else value
-    if not isinstance(key, bool | str | None) or key not in values:
+    if not isinstance(key, bool | str) or key not in values:
         raise ValueError(f"{origin}: expected true or false, got {shortened(value)}")
     return values[key]
 

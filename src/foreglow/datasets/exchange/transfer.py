@@ -28,10 +28,11 @@ from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import schema
 from foreglow.datasets.pvdn.schema import ImageCategory, Vehicle
 from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, check_new_split
-from foreglow.datasets.source import FrameSource
+from foreglow.datasets.source import FrameSource, also_left_out
 from foreglow.datasets.vehicle_data import origin_of
 from foreglow.datasets.video import Video
 from foreglow.folder_lock import FolderLock
+from foreglow.own_files import labels_format, with_labels_digest
 from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
 
@@ -154,7 +155,8 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
     if waiting:
-        raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}")
+        reason = also_left_out(frames.skipped)
+        raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}{reason}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
     return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=str(origin_of(frames) or frames.name))
@@ -170,12 +172,15 @@ def check_target(path: Path, name: str) -> None:
     """Passes a format and a file that has its ending, so that it can be read again.
 
     Raises:
-        ValueError: If there is no such format, or the ending is another.
+        ValueError: If there is no such format, the ending is another, or labels in another format are there.
     """
     if name not in LABEL_FORMATS:
         raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
     if path.suffix.lower() != LABEL_FORMATS[name].suffix:
         raise ValueError(f"{path}: expected a name ending in {LABEL_FORMATS[name].suffix} for {name}")
+    there = labels_format(path) if path.is_file() else None
+    if there not in (None, name):
+        raise ValueError(f"{path}: expected nothing there but labels as {name}, got {there}; choose another name")
 
 
 def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool = False) -> Counter[str]:
@@ -191,7 +196,7 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
         for image in labels.images:
             plain_path(image.name, f"{labels.origin or path}: name of an image")
     text, lost = (form.guess_text if is_guess else form.text)(labels)
-    write_atomic(path, text.encode())
+    write_atomic(path, with_labels_digest(text))
     return Counter(labels.lost) + lost
 
 

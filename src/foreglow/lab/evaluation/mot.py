@@ -2,6 +2,7 @@
 
     DIR/gt/S00001/gt/gt.txt           the labelled lights: frame, id, x, y, width, height, 1, 1, 1
     DIR/gt/S00001/seqinfo.ini         name, length, rate and size of the sequence
+    DIR/checksums.json                by which files that were changed since are known
     DIR/trackers/NAME/data/S00001.txt the plausible tracks: frame, id, x, y, width, height, confidence, -1, -1, -1
 
 Labels are points, and these measures want boxes. As in the paper's own annotations the box of a light is a proposal
@@ -15,6 +16,7 @@ from __future__ import annotations
 import configparser
 import contextlib
 import io
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +27,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, Sequence
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
-from foreglow.own_folders import check_new
+from foreglow.own_folders import CHECKSUMS, announce, check_new, check_unchanged, checksums_file
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 from foreglow.whole_files import make_folder, together, write_atomic
@@ -77,7 +79,8 @@ def export_mot(
     Raises:
         FileNotFoundError: If a label file is missing.
         ValueError: If a label file is broken, the run lacks an image, no sequence has a light, `name` is a path, or a
-            file is there that is not of an earlier export: of this split, or of others in the same folder.
+            file is there that is not of an earlier export: of this split, or of others in the same folder. Or if a
+            file that would be replaced was changed since.
         OSError: If a file cannot be written.
     """
     if not name or name != Path(name).name or name == "..":
@@ -101,10 +104,15 @@ def export_mot(
     _check_own(files)
     if not any(folder.glob(f"gt/*/{INFO_NAME}")):
         check_new(str(folder), folder)
+    checksums = {path.relative_to(folder).as_posix(): zlib.crc32(text.encode()) for path, text in files.items()}
+    check_unchanged(folder, checksums)
+    record = checksums_file(checksums, folder)
+    announce(folder, checksums)
     with together():
         for path, text in files.items():  # once all is known to be sound
             make_folder(path.parent)
             write_atomic(path, text.encode())
+        write_atomic(folder / CHECKSUMS, record)
 
 
 def _check_own(files: Mapping[Path, str]) -> None:

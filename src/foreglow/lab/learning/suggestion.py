@@ -18,7 +18,7 @@ from foreglow.runs.recorded_run import RecordedRun, source_of_run
 from foreglow.types import FrameResult
 from foreglow.types.arrays import Boxes
 from foreglow.whole_files import together, write_atomic
-from foreglow.wording import shortened
+from foreglow.wording import csv_words, shortened
 
 FILE_NAME = "suggestions.csv"
 LOOK_STEP = 10
@@ -196,10 +196,15 @@ def read_suggestions(path: Path, sequences: Mapping[int, str] | None = None) -> 
     """
     try:
         rows = list(csv.reader(line.decode("utf-8-sig") for line in read_lines(path)))
-    except (UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
+        raise ValueError(f"{path}: expected a CSV file, got {csv_words(error)}") from None
+    except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected a CSV file: {error}") from None
     if not rows or "frame" not in rows[0]:
         raise ValueError(f"{path}: line 1: expected a column called frame, got {shortened(rows[0] if rows else '')}")
+    for name in ("frame", "sequence"):
+        if rows[0].count(name) > 1:
+            raise ValueError(f"{path}: line 1: expected one column called {name}, got {rows[0].count(name)}")
     if len(rows) < 2:
         raise ValueError(f"{path}: line 2: expected at least one frame, got none")
     column, sequence_column = (rows[0].index(name) if name in rows[0] else -1 for name in ("frame", "sequence"))

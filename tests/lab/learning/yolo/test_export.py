@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 import os
@@ -80,6 +81,78 @@ def test_labels_that_changed_since_are_exported_again(annotated: Path, tmp_path:
     os.utime(boxes, ns=(later_ns, later_ns))
     assert export_yolo(annotated, tmp_path / "out", size_px=48).num_boxes == {"val": 0}
     assert exported.read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("labels/val/000011.txt", b""),
+        ("labels/val/000005.txt", b"0 0.5 0.5 0.1 0.1\n"),
+        ("images/val/000011.png", b"mine"),
+        ("checksums.json", b"[]"),
+        ("checksums.json", b'{"labels/val/000011.txt": 1}'),
+    ],
+)
+@pytest.mark.parametrize("is_source_newer", [False, True])
+def test_what_was_changed_in_an_export_is_neither_counted_nor_replaced(
+    name: str, data: bytes, is_source_newer: bool, annotated: Path, tmp_path: Path
+) -> None:
+    whole = export_yolo(annotated, tmp_path / "out", size_px=48)
+    path = tmp_path / "out" / name
+    path.write_bytes(data)
+    if is_source_newer:
+        later_ns = path.stat().st_mtime_ns + 1
+        os.utime(annotated / "night/val/labels/bounding_boxes/000011.json", ns=(later_ns, later_ns))
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    for call in (lambda: export_yolo(annotated, tmp_path / "out", size_px=48), lambda: read_export(tmp_path / "out")):
+        with pytest.raises(
+            ValueError, match=rf"{name}: expected the (file that was exported|checksums of an export), got"
+        ):
+            call()
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+    path.unlink()
+    assert export_yolo(annotated, tmp_path / "out", size_px=48).num_boxes == whole.num_boxes
+    read_export(tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["labels/val/000011.txt", "images/val/000011.png"])
+def test_what_an_export_has_lost_is_exported_again(name: str, annotated: Path, tmp_path: Path) -> None:
+    whole = export_yolo(annotated, tmp_path / "out", size_px=48)
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    (tmp_path / "out" / name).unlink()
+    with pytest.raises(FileNotFoundError, match=f"{name}: no such file, expected a complete export"):
+        read_export(tmp_path / "out")
+    assert export_yolo(annotated, tmp_path / "out", size_px=48) == whole
+    assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
+
+
+def test_an_export_that_is_killed_while_it_replaces_an_earlier_one_goes_on(
+    annotated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After any of its renames; the files that it has replaced are not taken for edited ones."""
+    boxes = annotated / "night/val/labels/bounding_boxes/000011.json"
+    texts = boxes.read_bytes(), b'{"bounding_boxes": [], "labels": []}'
+    folder, replace = tmp_path / "out", Path.replace
+    export_yolo(annotated, folder, size_px=48)
+    for num_moves in range(20):
+        boxes.write_bytes(texts[(num_moves + 1) % 2])
+        later_ns = (folder / "labels/val/000011.txt").stat().st_mtime_ns + 1
+        os.utime(boxes, ns=(later_ns, later_ns))
+        moves = itertools.count()
+
+        def replaced(path: Path, target: Path, moves: itertools.count[int] = moves, last: int = num_moves) -> Path:
+            if export_module.WORK_NAME in path.parts and target.parent != path.parent and next(moves) == last:
+                raise KeyboardInterrupt
+            return replace(path, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", replaced)
+            with contextlib.suppress(KeyboardInterrupt):
+                export_yolo(annotated, folder, size_px=48)
+        export = export_yolo(annotated, folder, size_px=48)
+        assert export.num_boxes == {"val": 1 - (num_moves + 1) % 2}
+        read_export(folder)
+    assert next(moves) < num_moves  # the last ones were not interrupted
 
 
 def test_a_missing_annotation(annotated: Path, tmp_path: Path) -> None:

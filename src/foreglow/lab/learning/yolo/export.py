@@ -20,7 +20,8 @@ from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
-from foreglow.own_folders import check_new
+from foreglow.lab.learning.kept_files import checksum
+from foreglow.own_folders import CHECKSUMS, announce, check_new, check_unchanged, checksums_file, missing_files
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
@@ -81,7 +82,8 @@ def export_yolo(
     The images are grey and scaled to a square, as in the published conversion. A line of a label file is
     `0 cx cy w h`, the centre and size of a box with a key point in it, relative to the image. Images without boxes have
     an empty file. All files appear at the end; after an error none do. An interrupted export, whose files are hidden,
-    continues where it stopped; images are exported again if they or their labels have changed since.
+    continues where it stopped; images are exported again if they or their labels have changed since. What somebody has
+    changed in an earlier export, by its `checksums.json`, is neither counted nor replaced.
 
     Args:
         data: A data set with train, val and test in PVDN's layout, with frames of 8 bits.
@@ -95,7 +97,7 @@ def export_yolo(
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
         ValueError: If a file is broken, there is no such preset or split, `folder` holds something other than this
-            export, or another run is writing into it.
+            export, a file of it was changed since, or another run is writing into it.
         OSError: If the disk is full; the message names the file.
     """
     for name in splits:
@@ -118,11 +120,12 @@ def export_yolo(
     with FolderLock(folder):
         _claim(folder, settings)
         try:
-            export = _exported(folder, settings, wanted, proposer, progress)
+            export, checksums = _exported(folder, settings, wanted, proposer, progress)
+            announce(folder, checksums)
         except Exception:
             shutil.rmtree(folder / WORK_NAME, ignore_errors=True)
             raise
-        for part in (SETTINGS_NAME, "images", "labels", DATA_NAME):
+        for part in (SETTINGS_NAME, "images", "labels", CHECKSUMS, DATA_NAME):
             _move(folder / WORK_NAME / part, folder / part)
         (folder / WORK_NAME).rmdir()
     return export
@@ -134,9 +137,14 @@ def _exported(
     splits: Mapping[SplitName, Path],
     proposer: Proposer | None,
     progress: Progress | None,
-) -> YoloExport:
-    """Exports into the hidden folder in `folder` what is in neither; that may hold what is done already."""
+) -> tuple[YoloExport, dict[str, int]]:
+    """Exports into the hidden folder in `folder` what is in neither; that may hold what is done already.
+
+    Returns:
+        What is exported then, and the checksums of all its images and label files.
+    """
     work = folder / WORK_NAME
+    known = check_unchanged(folder)
     if not _has_begun(work, settings):
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
@@ -144,30 +152,33 @@ def _exported(
     datasets = {name: open_labelled(found) for name, found in splits.items()}
     num_images = sum(len(dataset) for dataset in datasets.values())
     num_done, num_boxes = 0, dict.fromkeys(datasets, 0)
+    checksums: dict[str, int] = {}
     for name, dataset in datasets.items():
-        images, labels = work / "images" / name, work / "labels" / name
-        images.mkdir(parents=True, exist_ok=True)
-        labels.mkdir(parents=True, exist_ok=True)
+        for kind in ("images", "labels"):
+            (work / kind / name).mkdir(parents=True, exist_ok=True)
         for image_id in dataset.frame_ids:
-            done = (home / "labels" / name / f"{image_id:06d}.txt" for home in (work, folder))
-            label_file = next((path for path in done if _is_current(path, dataset, image_id)), None)
-            if label_file is None:
-                label_file = labels / f"{image_id:06d}.txt"  # written after the image
+            pair = f"images/{name}/{image_id:06d}.png", f"labels/{name}/{image_id:06d}.txt"
+            home = next((each for each in (work, folder) if _is_current(each, pair, dataset, image_id)), None)
+            if home is None:
+                home = work
                 frame = dataset.read(image_id)
                 boxes = positive_boxes(dataset, frame, proposer)
-                write_atomic(
-                    images / f"{image_id:06d}.png",
+                write_atomic(  # before the labels
+                    work / pair[0],
                     cv2.imencode(".png", squashed(frame.image, settings.size_px, frame.path))[1].tobytes(),
                 )
-                write_atomic(label_file, label_lines(boxes, frame.width_px, frame.height_px).encode())
-            num_boxes[name] += read_bytes(label_file, MIB).count(b"\n")
+                write_atomic(work / pair[1], label_lines(boxes, frame.width_px, frame.height_px).encode())
+            for part in pair:
+                is_known = home == folder and part in known
+                checksums[part] = known[part] if is_known else checksum(home / part)
+            num_boxes[name] += read_bytes(home / pair[1], MIB).count(b"\n")
             num_done += 1
             if progress is not None:
                 progress(num_done, num_images)
+    write_atomic(work / CHECKSUMS, checksums_file(checksums))
     write_atomic(work / DATA_NAME, _data_text(tuple(datasets)).encode())
-    return YoloExport(
-        folder / DATA_NAME, settings, {name: len(dataset) for name, dataset in datasets.items()}, num_boxes
-    )
+    counts = {name: len(dataset) for name, dataset in datasets.items()}
+    return YoloExport(folder / DATA_NAME, settings, counts, num_boxes), checksums
 
 
 def _move(path: Path, target: Path) -> None:
@@ -180,24 +191,30 @@ def _move(path: Path, target: Path) -> None:
         path.replace(target)
 
 
-def _is_current(label_file: Path, dataset: LabelledSource, image_id: int) -> bool:
+def _is_current(home: Path, pair: tuple[str, str], dataset: LabelledSource, image_id: int) -> bool:
     """Whether an earlier call has exported an image, which has not changed since, nor have its labels."""
+    image_file, label_file = (home / part for part in pair)
     labels = (dataset.root / "labels" / kind / f"{image_id:06d}.json" for kind in ("keypoints", "bounding_boxes"))
     sources = [path for path in (dataset.image_path(image_id), *labels) if path.exists()]
-    return label_file.exists() and all(path.stat().st_mtime_ns <= label_file.stat().st_mtime_ns for path in sources)
+    are_there = image_file.exists() and label_file.exists()
+    return are_there and all(path.stat().st_mtime_ns <= label_file.stat().st_mtime_ns for path in sources)
 
 
 def read_export(folder: Path) -> ExportSettings:
     """The settings of the complete export in `folder`.
 
     Raises:
-        FileNotFoundError: If there is none, or it was interrupted.
-        ValueError: If its settings are broken.
+        FileNotFoundError: If there is none, it was interrupted, or a file of it is gone.
+        ValueError: If its settings are broken, or a file of it was changed since.
     """
     for name in (SETTINGS_NAME, DATA_NAME):
         if not (folder / name).is_file():
             raise FileNotFoundError(f"{folder / name}: no such file, expected a complete export of `export-yolo`")
-    return read_json(folder / SETTINGS_NAME, ExportSettings)
+    settings = read_json(folder / SETTINGS_NAME, ExportSettings)
+    check_unchanged(folder)
+    for path in missing_files(folder):
+        raise FileNotFoundError(f"{path}: no such file, expected a complete export of `export-yolo`")
+    return settings
 
 
 def is_export(folder: Path) -> bool:

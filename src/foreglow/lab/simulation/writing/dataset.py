@@ -42,7 +42,7 @@ from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.variants import AS_IT_IS, draw_variants
 from foreglow.lab.simulation.writing.finished import kept_scenes
 from foreglow.lab.simulation.writing.lidar import LidarConfig
-from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, write_labels
+from foreglow.lab.simulation.writing.pvdn_labels import LabelCounts, check_keypoints, write_labels
 from foreglow.lab.simulation.writing.recorder import Recorder
 from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, read_scenes, write_scenes
 from foreglow.lab.simulation.writing.street_data import StreetDataError, check_ego_on_map
@@ -244,6 +244,8 @@ def _simulated(
 ) -> tuple[DatasetSummary, ...]:
     """As `simulate_datasets`, for the sequences of each split, which nobody else writes meanwhile."""
     kept = {root: kept_scenes(root, listed) for root, listed in files.items()}
+    for root, numbers in kept.items():
+        check_keypoints(root, sorted(numbers))  # before any work
     infos = {target.root: _info(files[target.root], target.config) for target in targets}
     for root, listed in files.items():
         for folder in ("images", "labels/keypoints", "simulation"):
@@ -269,7 +271,7 @@ def _simulated(
     for root, info in infos.items():
         for leftover in filter(is_temporary, root.rglob(".*.tmp")):  # of a run that was killed
             leftover.unlink(missing_ok=True)
-        summaries.append(DatasetSummary(root, len(kept[root]), write_labels(root, info)))
+        summaries.append(DatasetSummary(root, len(kept[root]), write_labels(root, info, kept[root])))
     return tuple(summaries)
 
 

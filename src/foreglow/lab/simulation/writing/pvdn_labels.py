@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import json
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from foreglow.datasets.json_files import write_json
+from foreglow.datasets.json_files import json_bytes, write_json
 from foreglow.datasets.pvdn.schema import (
     DriverBehaviour,
     EnvironmentLighting,
@@ -26,9 +29,16 @@ from foreglow.datasets.pvdn.schema import (
     View,
     Weather,
 )
-from foreglow.datasets.pvdn.writer import CAMERA_CONFIGURATIONS, CATEGORIES, image_record, write_label_files
+from foreglow.datasets.pvdn.writer import (
+    CAMERA_CONFIGURATIONS,
+    CATEGORIES,
+    LABEL_FILES,
+    image_record,
+    write_label_files,
+)
 from foreglow.datasets.simulated import Artifact, FrameTruth, SequenceTruth, VehicleTruth, read_truth
-from foreglow.datasets.simulated.files import InfoFile
+from foreglow.datasets.simulated.files import InfoFile, read_sequence
+from foreglow.files import read_plain_json
 from foreglow.geometry import Camera
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.world.road import Road, interpolated
@@ -72,16 +82,36 @@ class LabelCounts:
     num_doubtful: int
 
 
-def write_labels(root: Path, info: InfoFile) -> LabelCounts:
-    """Writes PVDN's label files of the split `root` from its truth; it is not a split while they are written.
+def check_keypoints(root: Path, sequence_ids: Iterable[int]) -> None:
+    """Checks that those key points of these sequences of the split `root` that are there follow from its truth.
 
     Raises:
         FileNotFoundError: If a file of the truth is missing.
-        ValueError: If a file of the truth is broken.
+        ValueError: If somebody has changed them since they were written; the message names the file.
+    """
+    for sequence_id in sequence_ids:
+        truth = read_sequence(root, sequence_id)
+        for frame in truth.frames:
+            path = _keypoints_path(root, frame)
+            if path.exists() and path.read_bytes() != json_bytes(keypoints_of(frame, truth.camera)):
+                raise _changed(path)
+
+
+def write_labels(root: Path, info: InfoFile, checked: Collection[int] = ()) -> LabelCounts:
+    """Writes PVDN's label files of the split `root` from its truth; it is not a split while they are written.
+
+    What somebody has corrected since stays, and is an error.
+
+    Args:
+        root: The split.
+        info: How it was made.
+        checked: Sequences whose key points `check_keypoints` has checked.
+
+    Raises:
+        FileNotFoundError: If a file of the truth is missing.
+        ValueError: If a file of the truth is broken, or a label file was changed since it was written.
         OSError: If a label file cannot be written.
     """
-    for name in ("sequences.json", "image_annotations.json"):
-        (root / "labels" / name).unlink(missing_ok=True)
     configuration = [configuration.cycle.value for configuration in CAMERA_CONFIGURATIONS].index(info.cycle)
     sequences: list[Sequence] = []
     images: list[ImageRecord] = []
@@ -97,7 +127,11 @@ def write_labels(root: Path, info: InfoFile) -> LabelCounts:
                 number = len(annotations)
                 annotations.append(ImageAnnotation(id=number, category=frame.category, image_id=frame.image_id))
             keypoints = keypoints_of(frame, truth.camera)
-            write_json(root / "labels" / "keypoints" / f"{frame.image_id:06d}.json", keypoints)
+            path = _keypoints_path(root, frame)
+            if not path.exists():
+                write_json(path, keypoints)
+            elif truth.sequence_id not in checked and path.read_bytes() != json_bytes(keypoints):
+                raise _changed(path)
             instances += [instance for vehicle in keypoints.annotations for instance in vehicle.instances]
             num_empty += not keypoints.annotations
             num_doubtful += len(keypoints.doubtful)
@@ -115,9 +149,58 @@ def write_labels(root: Path, info: InfoFile) -> LabelCounts:
         images=tuple(images),
         annotations=tuple(annotations),
     )
-    write_label_files(root, images_file, SequencesFile(sequences=tuple(sequences)))
+    _write_lists(root, images_file, SequencesFile(sequences=tuple(sequences)))
     num_direct = sum(instance.is_direct for instance in instances)
     return LabelCounts(*(len(sequences), len(images), num_empty, num_direct, len(instances) - num_direct, num_doubtful))
+
+
+def _keypoints_path(root: Path, frame: FrameTruth) -> Path:
+    return root / "labels" / "keypoints" / f"{frame.image_id:06d}.json"
+
+
+def _changed(path: Path) -> ValueError:
+    return ValueError(
+        f"{path}: expected the labels that simulate wrote, got changed ones, which stay; choose another folder, or "
+        "remove this file to have it made again"
+    )
+
+
+def _write_lists(root: Path, images_file: ImageAnnotationsFile, sequences_file: SequencesFile) -> None:
+    """As `write_label_files`, where there may be those of an earlier run, perhaps with fewer sequences."""
+    paths = [root / "labels" / name for name in LABEL_FILES]
+    wanted = [json.loads(json_bytes(each)) for each in (images_file, sequences_file)]
+    there = [_list_in(path) for path in paths]
+    if there == wanted:
+        return
+    ends = [0, *itertools.accumulate(len(sequence["image_ids"]) for sequence in wanted[1]["sequences"])]
+    for path, found, record in zip(paths, there, wanted, strict=True):
+        if found is not None and not _is_begin(found, record, ends):
+            raise _changed(path)
+    for path in reversed(paths):  # without its sequences it is no split
+        path.unlink(missing_ok=True)
+    write_label_files(root, images_file, sequences_file)
+
+
+def _list_in(path: Path) -> Any:
+    """What the JSON file at `path` holds; None if there is no such file."""
+    try:
+        return read_plain_json(path) if path.exists() else None
+    except ValueError:
+        raise _changed(path) from None
+
+
+def _is_begin(found: Any, wanted: dict[str, Any], ends: Collection[int]) -> bool:
+    """Whether a file of labels is the `wanted` one, perhaps with fewer sequences, after which as many images `ends`."""
+    kind = "sequences" if "sequences" in wanted else "images"
+    if not isinstance(found, dict) or found.keys() != wanted.keys() or not isinstance(found[kind], list):
+        return False
+    if kind == "sequences":
+        return bool(found[kind] == wanted[kind][: len(found[kind])])
+    images = wanted[kind][: len(found[kind])]
+    ids = {image["id"] for image in images}
+    annotations = [each for each in wanted["annotations"] if each["image_id"] in ids]
+    lists = {"images": images, "annotations": annotations, "info": found["info"]}  # the seed says nothing of labels
+    return len(images) in ends and bool(found == wanted | lists)
 
 
 def keypoints_of(frame: FrameTruth, camera: Camera) -> KeypointsFile:
