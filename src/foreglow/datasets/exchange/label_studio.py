@@ -1,7 +1,7 @@
 """Label Studio's JSON: a list of tasks, an image each, whose regions are key points.
 
 Source: the documentation of Label Studio's JSON export format and of its tags KeyPointLabels, Choices and Number.
-Positions are in per cent of the image. `docs/labels.md` has the labelling configuration.
+Positions are in per cent of the image. `docs/own_data.md` has the labelling configuration.
 """
 
 from __future__ import annotations
