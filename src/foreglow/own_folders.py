@@ -45,6 +45,9 @@ RESULT_FILES = (
 CHECKSUMS = "checksums.json"
 """The file of an export that has the CRC-32 of the others by their paths in it: a list, for what is there meanwhile."""
 
+MAX_CHECKSUMS_BYTES = 1 << 28
+"""Largest such file: four million files."""
+
 _PIECE = 1 << 20
 """Bytes that are read at once."""
 
@@ -220,7 +223,7 @@ def _known_checksums(folder: Path) -> dict[str, list[int]]:
     if not path.is_file():
         return {}
     try:
-        known = json.loads(path.read_bytes())
+        known = json.loads(path.read_bytes() if path.stat().st_size <= MAX_CHECKSUMS_BYTES else b"")
         if all(isinstance(sums, list) and all(isinstance(each, int) for each in sums) for sums in known.values()):
             return dict(known)
     except (ValueError, RecursionError, AttributeError):  # the file may be anything
