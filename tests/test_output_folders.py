@@ -203,7 +203,7 @@ def test_results_of_another_command_stay(tmp_path: Path) -> None:
         ("results.json", '{"made_with": {"command": "experiment runtime"}}', "experiment runtime"),
         ("results.json", '{"made_with": {}}', "experiment"),
         ("frames.jsonl", "", "run"),
-        ("recipe.toml", "", "train"),
+        ("recipe.toml", recipe_to_toml(recipe("compact")), "train"),
         ("study.journal", "", "tune"),
         ("plan.json", "[[[[", "experiment glare"),
         ("experiments.json", "{}", "reproduce"),
