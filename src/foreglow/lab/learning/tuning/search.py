@@ -116,7 +116,8 @@ def tune(
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
-        ValueError: If a label or an image is broken, the storage cannot be used, or the study there has another seed.
+        ValueError: If a label or an image is broken, the storage cannot be used, the study there has another seed, or no trial was
+            finished.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
     """
     import optuna  # noqa: F401  before anything is decoded
@@ -136,6 +137,8 @@ def tune(
     _run_trials(study, plan, material, workers, progress)
     searched_s = time.monotonic()
     trials = _records(study)
+    if not trials:
+        raise ValueError(f"{plan.shown_storage}: expected a finished trial, found none: the same command goes on")
     finalists = _on_train(_best(trials, settings), Bench(material), settings)
     finalists = _on_val(finalists, splits.get("val"), settings, progress)
     finalists = _on_test(finalists, splits.get("test"), progress)
