@@ -234,6 +234,15 @@ def test_a_report_leaves_files_that_are_not_of_an_earlier_one(command: str, name
         check_outputs({}, {}, {"--out": tmp_path})
 
 
+@pytest.mark.parametrize("command", ["experiment distance", "evaluate", "reproduce"])
+def test_damaged_results_are_named_and_not_the_figures_beside_them(command: str, tmp_path: Path) -> None:
+    for name, text in (("bins.png", "figure"), ("report.html", "page"), ("results.json", '{"made_with": {"comm')):
+        (tmp_path / name).write_text(text)
+    words = r"results\.json is of something else, or damaged: choose another folder, or remove what is there"
+    with running(command), pytest.raises(ValueError, match=words):
+        check_outputs({}, {}, {"--out": tmp_path})
+
+
 def test_a_run_of_ones_own_leaves_the_results_of_another_program(tmp_path: Path) -> None:
     (tmp_path / "results.json").write_text("[0.9]")
     (tmp_path / "times.jsonl").write_text("mine")

@@ -43,6 +43,9 @@ RESULT_FILES = (
 REPORT_SUFFIXES = (".csv", ".html", ".jpg", ".json", ".jsonl", ".md", ".mp4", ".png", ".toml")
 """How the names of a report's files end; they vary."""
 
+REPORT_MARKS = ("plan.json", "experiments.json", "results.json")
+"""Files by which the folder of a report is known."""
+
 REPORT_FOLDERS = ("rows", "predictions", "models", "models/*", "drives")
 """Folders in that of a report, with what an experiment continues from."""
 
@@ -205,7 +208,7 @@ def _left_in(folder: Path) -> list[Path]:
 
 def has_report(folder: Path) -> bool:
     """Whether a folder has the report of an earlier experiment, also of one that was interrupted."""
-    return any(is_own(folder / name) for name in ("plan.json", "experiments.json", "results.json"))
+    return any(is_own(folder / name) for name in REPORT_MARKS)
 
 
 def check_new_report(name: str, folder: Path) -> None:
@@ -220,6 +223,10 @@ def check_new_report(name: str, folder: Path) -> None:
     """
     if has_report(folder) or _has_rows(folder):
         return
+    for mark in REPORT_MARKS:  # before its figures, which would be named else
+        if (folder / mark).is_file():
+            words = _words_on_others(name, folder / mark)
+            raise ValueError(f"{words}, or damaged: choose another folder, or remove what is there")
     check_new(name, folder, REPORT_SUFFIXES)
     for inner in REPORT_FOLDERS:
         for each in sorted(folder.glob(inner)):

@@ -116,8 +116,8 @@ def tune(
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
-        ValueError: If a label or an image is broken, the storage cannot be used, the study there has another seed, or no trial was
-            finished.
+        ValueError: If a label or an image is broken, the storage cannot be used, the study there has another
+            seed, or no trial was finished.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
     """
     import optuna  # noqa: F401  before anything is decoded
