@@ -19,7 +19,7 @@ onnx = pytest.importorskip("onnx")
 
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
-LEAST = np.int64([-(2**63)])
+LEAST = np.array([-(2**63)], np.int64)
 
 
 def written(path: Path, nodes: list[Any], constants: dict[str, Any], **settings: Any) -> Path:
@@ -55,7 +55,7 @@ def tensor(kind: int, *numbers: int, dims: list[int] | None = None, **fields: An
 
 
 def of_constant(path: Path, *divisor: int) -> Path:
-    constant = helper.make_node("Constant", [], ["divisor"], value=numpy_helper.from_array(np.int64(divisor)))
+    constant = helper.make_node("Constant", [], ["divisor"], value=numpy_helper.from_array(np.array(divisor, np.int64)))
     division = helper.make_node("Div", ["dividend", "divisor"], ["quotient"])
     return written(path, [constant, division], {"dividend": LEAST})
 
@@ -68,7 +68,9 @@ def of_shape(path: Path, factor: int) -> Path:
         helper.make_node("Mul", ["channels", "factor"], ["divisor"]),
         helper.make_node("Div", ["dividend", "divisor"], ["quotient"]),
     ]
-    return written(path, nodes, {"index": np.int64([1]), "factor": np.int64([factor]), "dividend": LEAST})
+    return written(
+        path, nodes, {"index": np.array([1], np.int64), "factor": np.array([factor], np.int64), "dividend": LEAST}
+    )
 
 
 def in_branch(path: Path, divisor: str) -> Path:
@@ -79,13 +81,13 @@ def in_branch(path: Path, divisor: str) -> Path:
         helper.make_node("Identity", ["divisor"], ["computed"]),
         helper.make_node("If", ["is"], ["quotient"], then_branch=branch, else_branch=branch),
     ]
-    return written(path, nodes, {"is": np.array(True), "divisor": np.int64([3]), "dividend": LEAST})
+    return written(path, nodes, {"is": np.array(True), "divisor": np.array([3], np.int64), "dividend": LEAST})
 
 
 def of_two(path: Path) -> Path:
     """Two tensors of one name, of which a reader takes the one or the other."""
-    model = onnx.load(divided(path, np.int64([3])))
-    model.graph.initializer.append(numpy_helper.from_array(np.int64([-1]), "divisor"))
+    model = onnx.load(divided(path, np.array([3], np.int64)))
+    model.graph.initializer.append(numpy_helper.from_array(np.array([-1], np.int64), "divisor"))
     path.write_bytes(model.SerializeToString())
     return path
 
@@ -93,11 +95,17 @@ def of_two(path: Path) -> Path:
 @pytest.mark.parametrize(
     ("make", "found"),
     [
-        (lambda path: divided(path, np.int64([-1])), "'divisor' with 0 or -1"),
-        (lambda path: divided(path, np.int64([2, 0])), "'divisor' with 0 or -1"),
-        (lambda path: divided(path, np.int32([-1]), np.int32([-(2**31)])), "'divisor' with 0 or -1"),
+        (lambda path: divided(path, np.array([-1], np.int64)), "'divisor' with 0 or -1"),
+        (lambda path: divided(path, np.array([2, 0], np.int64)), "'divisor' with 0 or -1"),
+        (
+            lambda path: divided(path, np.array([-1], np.int32), np.array([-(2**31)], np.int32)),
+            "'divisor' with 0 or -1",
+        ),
         (lambda path: divided(path, tensor(TensorProto.INT64, 3, -1)), "'divisor' with 0 or -1"),
-        (lambda path: divided(path, tensor(TensorProto.INT32, -1), np.int32([-(2**31)])), "'divisor' with 0 or -1"),
+        (
+            lambda path: divided(path, tensor(TensorProto.INT32, -1), np.array([-(2**31)], np.int32)),
+            "'divisor' with 0 or -1",
+        ),
         (lambda path: divided(path, tensor(TensorProto.INT64, dims=[1])), "'divisor' without its numbers"),
         (
             lambda path: divided(path, tensor(TensorProto.INT64, *range(1, 5000))),
@@ -133,9 +141,9 @@ def floats(path: Path, kind: int = TensorProto.FLOAT) -> Path:
         floats,
         lambda path: floats(path, TensorProto.FLOAT16),
         lambda path: floats(path, TensorProto.DOUBLE),
-        lambda path: divided(path, np.int64([2])),
+        lambda path: divided(path, np.array([2], np.int64)),
         lambda path: divided(path, tensor(TensorProto.INT64, -2, 2**32 - 1)),
-        lambda path: divided(path, np.float32([0]), np.float32([1])),
+        lambda path: divided(path, np.array([0], np.float32), np.array([1], np.float32)),
         lambda path: of_constant(path, 2, 3),
         lambda path: in_branch(path, "divisor"),
     ],
@@ -162,7 +170,7 @@ def test_the_process_goes_on(tmp_path: Path) -> None:
         "import sys; from foreglow.config import ClassifierConfig; from foreglow.classifier import OnnxClassifier\n"
         "try:\n    OnnxClassifier(ClassifierConfig(model=sys.argv[1]))\nexcept ValueError:\n    sys.exit(7)"
     )
-    for path in (of_shape(tmp_path / "a.onnx", -1), divided(tmp_path / "b.onnx", np.int64([-1]))):
+    for path in (of_shape(tmp_path / "a.onnx", -1), divided(tmp_path / "b.onnx", np.array([-1], np.int64))):
         assert subprocess.run([sys.executable, "-c", code, path]).returncode == 7
 
 

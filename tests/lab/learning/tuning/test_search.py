@@ -324,6 +324,15 @@ def test_a_search_without_a_finished_trial_is_no_success(
     assert not (tmp_path / "out" / "best.toml").exists()
 
 
+@pytest.mark.parametrize("name", ["val", "test"])
+def test_a_split_that_is_train_by_another_name_judges_nothing(name: str, tmp_path: Path) -> None:
+    data = make_night_set(tmp_path / "data", ("train",), num_images=2)
+    (split,) = data.rglob("train")
+    (split.parent / name).symlink_to(split)
+    with pytest.raises(ValueError, match="train: expected a split to train on, got one that judges what is learnt"):
+        searched(data, tmp_path / "out", 1)
+
+
 def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:
     labels = next(path for path in data.rglob("sequences.json") if "val" in path.parts)
     before = labels.read_bytes()
