@@ -101,3 +101,12 @@ def test_a_table_of_detectors_that_was_begun_goes_on(name: str, text: str, tmp_p
         (tmp_path / name).write_text("mine")
         with pytest.raises(ValueError, match="is of something else"):
             check_outputs({}, {}, {"--out": tmp_path})
+
+
+def test_the_first_epoch_of_a_table_that_was_interrupted_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "models/paper").mkdir(parents=True)
+    (tmp_path / "models/paper/events.out.tfevents.1700000000.host.1.0").touch()
+    (tmp_path / "samples/607ad3e0cf07471f").mkdir(parents=True)
+    (tmp_path / "samples/607ad3e0cf07471f/crops.npy").touch()
+    with running("experiment detector"):
+        check_outputs({}, {}, {"--out": tmp_path})

@@ -46,6 +46,9 @@ REPORT_SUFFIXES = (".csv", ".html", ".jpg", ".json", ".jsonl", ".md", ".mp4", ".
 REPORT_MARKS = ("plan.json", "experiments.json", "results.json")
 """Files by which the folder of a report is known."""
 
+EVENTS = "events.out.tfevents."
+"""How TensorBoard's files begin, which a training has before its first epoch and never overwrites."""
+
 REPORT_FOLDERS = ("rows", "predictions", "models", "models/*", "drives")
 """Folders in that of a report, with what an experiment continues from."""
 
@@ -250,7 +253,7 @@ def check_new(name: str, folder: Path, suffixes: Sequence[str] | None = None, *,
     """
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         is_in_the_way = suffixes is None or path.suffix.lower() in suffixes
-        if is_in_the_way and not path.name.startswith(".") and not (files_only and path.is_dir()):
+        if is_in_the_way and not path.name.startswith((".", EVENTS)) and not (files_only and path.is_dir()):
             raise ValueError(_words_on_others(name, path))
 
 
