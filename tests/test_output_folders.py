@@ -203,7 +203,7 @@ def test_results_of_another_command_stay(tmp_path: Path) -> None:
         ("results.json", '{"made_with": {"command": "experiment runtime"}}', "experiment runtime"),
         ("results.json", '{"made_with": {}}', "experiment"),
         ("frames.jsonl", "", "run"),
-        ("recipe.toml", "", "train"),
+        ("recipe.toml", recipe_to_toml(recipe("compact")), "train"),
         ("study.journal", "", "tune"),
         ("plan.json", "[[[[", "experiment glare"),
         ("experiments.json", "{}", "reproduce"),
@@ -231,6 +231,15 @@ def test_a_report_leaves_files_that_are_not_of_an_earlier_one(command: str, name
         with pytest.raises(ValueError, match=f"{name} is of something else"):
             check_outputs({}, {}, {"--out": tmp_path})
         (tmp_path / "results.json").write_text('{"made_with": {}}')
+        check_outputs({}, {}, {"--out": tmp_path})
+
+
+@pytest.mark.parametrize("command", ["experiment distance", "evaluate", "reproduce"])
+def test_damaged_results_are_named_and_not_the_figures_beside_them(command: str, tmp_path: Path) -> None:
+    for name, text in (("bins.png", "figure"), ("report.html", "page"), ("results.json", '{"made_with": {"comm')):
+        (tmp_path / name).write_text(text)
+    words = r"results\.json is of something else, or damaged: choose another folder, or remove what is there"
+    with running(command), pytest.raises(ValueError, match=words):
         check_outputs({}, {}, {"--out": tmp_path})
 
 

@@ -76,6 +76,15 @@ def test_frame_refuses_values_of_another_type(field: str, value: Any, complaint:
         Frame(**({"image": np.zeros((3, 5), np.uint8), "timestamp_ns": 0, "path": "a.png", field: value}))
 
 
+@pytest.mark.parametrize(
+    ("earlier", "got"),
+    [(np.zeros((5, 3), np.uint8), "3x5 px, uint8"), (np.zeros((3, 5), np.uint16), "5x3 px, uint16")],
+)
+def test_the_earlier_image_of_a_frame_is_like_it(earlier: Any, got: str) -> None:
+    with pytest.raises(ValueError, match=rf"a\.png: Frame\.earlier: expected an image of 5x3 px, uint8, got {got}"):
+        Frame(np.zeros((3, 5), np.uint8), 1, path="a.png", earlier=Frame(earlier, 0))
+
+
 @pytest.mark.parametrize("path", [None, 1, b"a.png", Path("a.png"), np.zeros(0), np.zeros((2, 4)), ()])
 def test_the_path_of_a_frame_is_a_text(path: Any) -> None:
     with pytest.raises(ValueError, match=r"^Frame\.path: expected a text, got"):

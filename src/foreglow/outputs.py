@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.own_files import FileKind
-from foreglow.own_folders import KINDS, RESULT_FILES, check_new, has_report
+from foreglow.own_folders import KINDS, RESULT_FILES, TRAINING, TUNING, check_new_report, check_own
 from foreglow.whole_files import PARTIAL, partial_path, replaces_only
 
 REPORTING = ("experiment", "evaluate", "reproduce")
 """Commands, or how their names begin, that write a report with its figures and tables, whose names vary."""
 
-REPORT_SUFFIXES = (".csv", ".html", ".jpg", ".json", ".jsonl", ".md", ".mp4", ".png", ".toml")
-"""How the names of a report's files end."""
+KEEPING = {"train": TRAINING, "tune": TUNING}
+"""Commands that write a folder of a kind that has its own names, by which it is known; runs look when they begin."""
 
 PARTS_OF_SPLIT = ("images", "labels", "simulation")
 """Folders of a split in PVDN's format."""
@@ -224,8 +224,10 @@ def _check_writer(name: str, folder: Path) -> None:
     for mark, kind in KINDS.items():
         if kind.commands and (folder / mark).is_file() and not command.startswith(kind.commands):
             raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
-    if command.startswith(REPORTING) and not has_report(folder):
-        check_new(f"{name} {folder}", folder, REPORT_SUFFIXES)
+    if command.startswith(REPORTING):
+        check_new_report(f"{name} {folder}", folder)
+    elif command in KEEPING:
+        check_own(folder, KEEPING[command])
 
 
 def _words_on_writer(name: str, folder: Path, writer: str, file: str) -> str:

@@ -59,6 +59,14 @@ def is_left(path: Path) -> bool:
         return False
 
 
+def is_row(path: Path) -> bool:
+    """Whether a file begins as a row of the table of detectors does, with its name."""
+    try:
+        return path.is_file() and _head(path).startswith(f'{{\n "name": "{path.stem}",\n "title": '.encode())
+    except OSError:  # as in `is_own`
+        return False
+
+
 def is_result_of_run(name: str) -> bool:
     """Whether a run writes the result called `name` under its partial name."""
     return name in _BEGINNINGS
@@ -181,6 +189,7 @@ _CONTENTS: Mapping[str, Callable[[Path], bool]] = {
     "checkpoint.pt": lambda path: _first_line(path).startswith(b"PK\3\4"),
     "best.toml": lambda path: _first_line(path).startswith(b"# Found by foreglow tune"),
     "study.journal": lambda path: _has(json.loads(_first_line(path)), "op_code"),
+    "config.json": lambda path: _has(json.loads(_whole(path)), "training", "boxes", "export_size_px"),
     "plan.json": lambda path: _has(json.loads(_whole(path)), "plan", "digest"),
     "experiments.json": _is_state,
     "results.json": lambda path: _has(json.loads(_whole(path)), "made_with"),

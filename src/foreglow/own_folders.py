@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from foreglow.own_files import is_left, is_own, is_result_of_run
+from foreglow.own_files import is_left, is_own, is_result_of_run, is_row
 from foreglow.whole_files import partial_path, write_atomic
 
 RESULT_NAMES = (
@@ -51,6 +51,18 @@ MAX_CHECKSUMS_BYTES = 1 << 28
 _PIECE = 1 << 20
 """Bytes that are read at once."""
 
+REPORT_SUFFIXES = (".csv", ".html", ".jpg", ".json", ".jsonl", ".md", ".mp4", ".png", ".toml")
+"""How the names of a report's files end; they vary."""
+
+REPORT_MARKS = ("plan.json", "experiments.json", "results.json")
+"""Files by which the folder of a report is known."""
+
+EVENTS = "events.out.tfevents."
+"""How TensorBoard's files begin, which a training has before its first epoch and never overwrites."""
+
+REPORT_FOLDERS = ("rows", "predictions", "models", "models/*", "drives")
+"""Folders in that of a report, with what an experiment continues from."""
+
 RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
 """The files by which the folders of a run, of a training and of a search are known."""
 
@@ -86,13 +98,16 @@ KINDS = {
     ),
     TRAINING: FolderKind(
         ("train",),
-        (TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+        (
+            *(TRAINING, "model.onnx", "weights.pt", "config.toml", "summary.json"),
+            *("checkpoint.pt", "curves.csv", "curves.png", "changes.jpg"),
+        ),
         folders=("samples",),
         begun=(TRAINING, "checkpoint.pt"),
     ),
     TUNING: FolderKind(
         ("tune",),
-        (TUNING, "study.journal", "summary.json"),
+        (TUNING, "study.journal", "summary.json", "trials.csv", "report.md", "parallel.png", "importance.png"),
         folders=("frames",),
         begun=(TUNING, "study.journal"),
     ),
@@ -278,19 +293,51 @@ def _left_in(folder: Path) -> list[Path]:
 
 def has_report(folder: Path) -> bool:
     """Whether a folder has the report of an earlier experiment, also of one that was interrupted."""
-    return any(is_own(folder / name) for name in ("plan.json", "experiments.json", "results.json"))
+    return any(is_own(folder / name) for name in REPORT_MARKS)
 
 
-def check_new(name: str, folder: Path, suffixes: Sequence[str] | None = None) -> None:
+def check_new_report(name: str, folder: Path) -> None:
+    """Checks that a folder for a report holds an earlier one, perhaps a part of it, or nothing that one could replace.
+
+    Args:
+        name: What stands for the folder in the message.
+        folder: The folder.
+
+    Raises:
+        ValueError: If it has only files, or folders, with names that a report may have.
+    """
+    if has_report(folder) or _has_rows(folder):
+        return
+    for mark in REPORT_MARKS:  # before its figures, which would be named else
+        if (folder / mark).is_file():
+            words = _words_on_others(name, folder / mark)
+            raise ValueError(f"{words}, or damaged: choose another folder, or remove what is there")
+    check_new(name, folder, REPORT_SUFFIXES)
+    for inner in REPORT_FOLDERS:
+        for each in sorted(folder.glob(inner)):
+            if each.is_file():
+                raise ValueError(_words_on_others(name, each))
+            check_new(name, each, files_only=True)
+
+
+def _has_rows(folder: Path) -> bool:
+    """Whether a table of detectors was begun in a folder: it has a row, or the training of one."""
+    models = list(folder.glob("models/*"))
+    is_trained = any(_is_begun(model, KINDS[TRAINING]) or is_own(model / "config.json") for model in models)
+    return is_trained or any(is_row(row) for row in folder.glob("rows/*.json"))
+
+
+def check_new(name: str, folder: Path, suffixes: Sequence[str] | None = None, *, files_only: bool = False) -> None:
     """ValueError if what is in `folder`, which has no earlier results, is of something else; hidden files may be there.
 
-    `name` stands for the folder in the message. Only files whose names end with one of `suffixes` are in the way; with
-    None everything is.
+    `name` stands for the folder in the message. Only what has a name that ends with one of `suffixes` is in the way,
+    with None everything is; with `files_only` no folder is.
     """
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
-        is_in_the_way = suffixes is None or (path.is_file() and path.suffix.lower() in suffixes)
-        if is_in_the_way and not path.name.startswith("."):
-            raise ValueError(
-                f"{name}: expected a new folder, or one with earlier results of this command; {path} is of "
-                "something else"
-            )
+        is_in_the_way = suffixes is None or path.suffix.lower() in suffixes
+        if is_in_the_way and not path.name.startswith((".", EVENTS)) and not (files_only and path.is_dir()):
+            raise ValueError(_words_on_others(name, path))
+
+
+def _words_on_others(name: str, path: Path) -> str:
+    return f"{name}: expected a new folder, or one with earlier results of this command; {path} is of something else"

@@ -43,6 +43,24 @@ def protobuf_fields(message: memoryview) -> Iterator[tuple[int, int | memoryview
         yield number, content if kind == 2 else int.from_bytes(content, "little")
 
 
+def whole_numbers(value: int | memoryview) -> Iterator[int]:
+    r"""The whole numbers, unsigned, in one field of a list of them: one, or packed.
+
+    >>> list(whole_numbers(memoryview(b"\x02\x80\x01"))), list(whole_numbers(3))
+    ([2, 128], [3])
+
+    Raises:
+        ValueError: If they are malformed.
+    """
+    if isinstance(value, int):
+        yield value
+        return
+    position = 0
+    while position < len(value):
+        number, position = _varint(value, position)
+        yield number
+
+
 def _varint(message: memoryview, position: int) -> tuple[int, int]:
     """A number of seven bits a byte, and the position after it."""
     value = 0

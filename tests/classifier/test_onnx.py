@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -153,6 +154,35 @@ def test_one_logit_tells_no_kinds(tmp_path: Path) -> None:
     )
     assert np.isnan(found.kinds).all()
     assert np.isnan(found.direct_probabilities).all()
+
+
+@pytest.mark.parametrize(
+    ("num_outputs", "names"),
+    [
+        (5, {"0": "rear_lamp", "1": "front_lamp", "2": "front_light", "3": "rear_light", "4": "none"}),
+        (5, ["none", "front_lamp", "rear_lamp", "front_light", "rear_light"]),
+        (5, {"0": "front_lamp", "1": "rear_lamp", "2": "front_light", "3": "rear_light"}),
+        (2, {"0": "none", "1": "front_lamp"}),
+        (1, {"0": "none"}),
+    ],
+)
+def test_names_that_contradict_the_order_of_the_kinds(tmp_path: Path, num_outputs: int, names: Any) -> None:
+    metadata = {"names": json.dumps(names)}
+    biases = (0.0,) * num_outputs
+    model = write_model(
+        tmp_path / "model.onnx", output_shape=("N", num_outputs), axes=(2, 3), biases=biases, metadata=metadata
+    )
+    with pytest.raises(ValueError, match=r"model\.onnx: metadata: names: expected .*'front_lamp'.*, got \["):
+        OnnxClassifier(ClassifierConfig(model=model))
+
+
+@pytest.mark.parametrize(
+    "names", [json.dumps(dict(enumerate(KINDS))), json.dumps(KINDS), '{"0": "lamp"}', "{0: 'none'}", "[" * 9999, "3"]
+)
+def test_names_that_contradict_nothing(tmp_path: Path, names: str) -> None:
+    path, biases = tmp_path / "model.onnx", (0.0,) * len(KINDS)
+    write_model(path, output_shape=("N", len(KINDS)), axes=(2, 3), biases=biases, metadata={"names": names})
+    OnnxClassifier(ClassifierConfig(model=path))
 
 
 @pytest.mark.parametrize("name", ["support", "context"])

@@ -360,7 +360,7 @@ def test_lines_of_another_program(tmp_path: Path) -> None:
 
 
 def test_results_of_coco(tmp_path: Path) -> None:
-    """As YOLOv5 writes them: corner, width and height, in any order; other categories and fields do not matter."""
+    """As YOLOv5 writes them: corner, width and height, in any order; its category and other fields do not matter."""
     path = tmp_path / "results.json"
     first = {"image_id": 7, "category_id": 0, "bbox": [10, 20.5, 4, 6], "score": 0.25}
     path.write_text(json.dumps([first, first | {"image_id": 3}, first | {"bbox": [0, 0, 1, 0], "score": 1}]))
@@ -387,6 +387,26 @@ def test_broken_results_of_coco(fields: dict[str, Any], expected: str, tmp_path:
     path.write_text(json.dumps([{"image_id": 7, "bbox": [0, 0, 4, 4], "score": 0.5} | fields]))
     with pytest.raises(ValueError, match=rf"results\.json: 0\.{expected}"):
         read_predictions(path)
+
+
+@pytest.mark.parametrize("text", ["null", '"x"', "5"])
+def test_predictions_that_are_neither_an_object_nor_a_list(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "results.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"results\.json: (?!dict).*expected an object by image id, or a list, got"):
+        read_predictions(path)
+
+
+def test_results_of_coco_with_several_categories(tmp_path: Path) -> None:
+    """Those of cars, say, are no light, and nothing tells which is which."""
+    path = tmp_path / "results.json"
+    box = {"image_id": 7, "bbox": [10, 20.5, 4, 6], "score": 0.25}
+    for first, second in ((1, 2), (None, 1), (1, None)):
+        both = [box if number is None else box | {"category_id": number} for number in (first, first, second)]
+        path.write_text(json.dumps(both))
+        words = rf"results\.json: 2\.category_id: expected boxes of one category, .*, got {second} after {first}"
+        with pytest.raises(ValueError, match=words):
+            read_predictions(path)
 
 
 def test_which_files_have_tracks(tmp_path: Path) -> None:

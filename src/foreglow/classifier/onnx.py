@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,7 +42,8 @@ class OnnxClassifier:
     `classifier.inputs` makes them. It writes the logits of the five `KINDS`, shape (N, 5); or logits of being light of
     a vehicle, shape (N,) or (N, 1), or these together with logits of being a lamp itself, shape (N, 2). Its metadata
     may give a `support`, and must give the `lag_s` for a channel of an earlier frame, and the `context` for
-    one of the surroundings. With `together` in its metadata, it is given all boxes of a frame at once.
+    one of the surroundings. With `together` in its metadata, it is given all boxes of a frame at once; `names`, a JSON
+    object of its outputs' names by number, may not put the `KINDS` in another order.
     """
 
     def __init__(self, config: ClassifierConfig) -> None:
@@ -62,9 +64,16 @@ class OnnxClassifier:
         try:
             self._names, self.spec = _checked_inputs(self._path, config.support, self._session)
             self._outputs = [_checked_output(self._path, self._session)]
+            _check_names(self._path, self.metadata, self._session)
         except model_errors() as error:
             raise unusable(self._path, error) from error
         self._maker = InputMaker(self.spec)
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What the model says of itself, by name."""
+        found: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
+        return found
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
@@ -212,6 +221,27 @@ def _checked_output(path: Path, session: InferenceSession) -> str:
         expected = "expected shape (N,), (N, 1), (N, 2) or (N, 5) with a free N"
         raise ValueError(f"{path}: output {name}: {expected}, got {shape}")
     return name
+
+
+def _check_names(path: Path, metadata: dict[str, str], session: InferenceSession) -> None:
+    """ValueError if a model names its outputs, and they are in another order than `KINDS`.
+
+    Names that are not known, and texts of other programs, say nothing.
+    """
+    try:
+        names = json.loads(metadata.get("names", ""))
+    except (ValueError, RecursionError):
+        return
+    if isinstance(names, list):
+        names = {str(number): name for number, name in enumerate(names)}
+    if not isinstance(names, dict):
+        return
+    shape = session.get_outputs()[0].shape
+    wanted = dict(zip(map(str, range(len(KINDS))), KINDS, strict=True))
+    is_of_kinds = any(isinstance(name, str) and name in KINDS for name in names.values())
+    if is_of_kinds and (shape[1:] != [len(KINDS)] or names != wanted):
+        got = shortened(list(names.values()))
+        raise ValueError(f"{path}: metadata: names: expected {list(KINDS)} for five outputs, got {got}")
 
 
 def _checked(path: Path, node: Any, what: str) -> tuple[str, tuple[int | str | None, ...]]:

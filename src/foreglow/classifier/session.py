@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
+from foreglow.classifier.divisions import check_types, computed_divisors
 from foreglow.classifier.operations import check_operations
 from foreglow.files import check_file, read_bytes, read_plain_json
 from foreglow.models import BUNDLED, SHA256, model_path
@@ -62,6 +63,7 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.log_severity_level = 4  # errors are raised and need not be printed as well
     _bound_memory()
+    _check_divisors(path, content)
     options.add_session_config_entry("session.load_model_format", "ONNX")  # what was checked, whatever its name ends in
     options.add_session_config_entry("session.use_env_allocators", "1")
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -79,6 +81,35 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     if device == "cuda" and CUDA not in session.get_providers():  # it goes on without what it cannot load
         raise ValueError("classifier.device: expected cpu, ONNX Runtime cannot use a GPU here; got cuda")
     return session
+
+
+def _check_divisors(path: Path, model: memoryview) -> None:
+    """ValueError if a model may divide whole numbers by 0 or -1, which would stop the process."""
+    import onnxruntime as ort
+
+    try:
+        copy, names = computed_divisors(model)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if not names:
+        return
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
+    options.log_severity_level = 4
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    options.add_session_config_entry("session.disable_prepacking", "1")
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path.parent))
+    try:
+        session = ort.InferenceSession(copy, options, providers=["CPUExecutionProvider"])
+        types = [node.type for node in session.get_outputs()[-len(names) :]]
+    except model_errors() as error:
+        raise unusable(path, error) from error
+    try:
+        check_types(names, types)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _read_texts(session: InferenceSession) -> None:

@@ -16,7 +16,6 @@ from foreglow.folder_lock import locked
 from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WorkerOptions
 from foreglow.outputs import check_outputs
 from foreglow.own_files import ANNOTATION, MODEL, RANGE_MODEL
-from foreglow.own_folders import TRAINING, TUNING, check_own
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -135,7 +134,6 @@ def tune(
     from foreglow.lab.studies.reproduction.claims import beside_paper
 
     require_matplotlib()
-    check_own(out, TUNING)
     if storage is not None and "://" not in storage:
         check_outputs({"DATA": data}, {"--storage": Path(storage)}, {})
     settings = TuningSettings(
@@ -254,7 +252,6 @@ def train(
 
         recipe_network(chosen, "recipe" if recipe_file is None else str(recipe_file))
     judged: tuple[Judged, ...] = ()
-    check_own(out, TRAINING)
     if len({path.resolve() for path in data}) < len(data):
         raise ValueError(f"{', '.join(map(str, data))}: expected each data set once")
     check_each_once(mix or (), "--mix")

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, RootModel
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, RootModel
 from typing_extensions import TypedDict  # pydantic takes that of typing from Python 3.12 on
 
 from foreglow.datasets.json_files import read_json
@@ -139,6 +139,7 @@ class _CocoBox(BaseModel):
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
     image_id: Annotated[Whole, Field(ge=0)]
+    category_id: int | None = None
     bbox: Annotated[
         tuple[float, float, Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], Field(strict=False)
     ]
@@ -149,7 +150,13 @@ class _CocoFile(RootModel[list[_CocoBox]]):
     """COCO's results: a box an entry, in any order."""
 
 
-class _JsonFile(RootModel[dict[str, Any] | list[Any]]):
+def _object_or_list(value: Any) -> Any:
+    if not isinstance(value, dict | list):
+        raise ValueError(f"expected an object by image id, or a list, got {shortened(value)}")
+    return value
+
+
+class _JsonFile(RootModel[Annotated[Any, AfterValidator(_object_or_list)]]):
     """Any of the three."""
 
 
@@ -169,7 +176,7 @@ def read_predictions(path: Path | str) -> Predictions:
     A name ending in `.jsonl` holds one JSON object a line with `frame` (the image id), `proposals_xyxy_px` and
     `scores`, as `foreglow run` writes; `scores` may be null or absent in all lines, `direct` and `light_kinds` in any.
     Any other name holds one JSON object by image id, of `{"boxes": ..., "scores": ...}` or of plain lists of boxes, as
-    the published code writes; or COCO's results, of which all categories count, a JSON list of
+    the published code writes; or COCO's results, all of one category, a JSON list of
     `{"image_id": ..., "bbox": [x, y, width, height], "score": ...}`.
 
     Raises:
@@ -236,7 +243,14 @@ def _from_published(path: Path) -> Predictions:
 
 def _from_coco(path: Path) -> Predictions:
     found: dict[int, list[_CocoBox]] = {}
-    for entry in read_json(path, _CocoFile).root:
+    first: int | None = None
+    for index, entry in enumerate(read_json(path, _CocoFile).root):
+        first = entry.category_id if index == 0 else first
+        if entry.category_id != first:
+            raise ValueError(
+                f"{path}: {index}.category_id: expected boxes of one category, that of light, got "
+                f"{shortened(entry.category_id)} after {shortened(first)}"
+            )
         found.setdefault(entry.image_id, []).append(entry)
     corners = {
         image_id: [[x, y, x + width, y + height] for x, y, width, height in (entry.bbox for entry in entries)]

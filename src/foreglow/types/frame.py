@@ -147,8 +147,8 @@ class Frame(Value):
     Raises:
         ValueError: If the image is not two-dimensional, is empty, has masked pixels, or is neither uint8 nor uint16,
             the camera is for images of another size or not mounted as one that looks ahead, the number or the time is
-            no whole number of 64 bits, another field is of a wrong type, the earlier image is not earlier, or the
-            chroma has another shape or type.
+            no whole number of 64 bits, another field is of a wrong type, the earlier image is not earlier, or of
+            another size or dtype, or the chroma has another shape or type.
     """
 
     image: Image
@@ -207,6 +207,10 @@ class Frame(Value):
                 f"{origin}Frame.earlier: expected an image from before {self.timestamp_ns} ns, got one from "
                 f"{self.earlier.timestamp_ns} ns"
             )
+        earlier = self.image if self.earlier is None else self.earlier.image
+        if (earlier.shape, earlier.dtype) != (self.image.shape, self.image.dtype):
+            wanted, got = (f"{each.shape[1]}x{each.shape[0]} px, {each.dtype}" for each in (self.image, earlier))
+            raise ValueError(f"{origin}Frame.earlier: expected an image of {wanted}, got {got}")
         if self.red_chroma is not None:
             check_unmasked(f"{origin}Frame.red_chroma", self.red_chroma)
             half = (-(-self.image.shape[0] // 2), -(-self.image.shape[1] // 2))

@@ -15,6 +15,7 @@ from typing import Any
 
 from foreglow.files import in_unicode, to_json, write_json_results
 from foreglow.outputs import running_command
+from foreglow.own_folders import REPORT_SUFFIXES
 from foreglow.provenance import provenance
 from foreglow.whole_files import make_folder, together, write_atomic
 
@@ -253,6 +254,8 @@ class Page:
         """
         beside = {figure.file: figure.data for figure in self._figures if figure.file}
         text = self.markdown() if path.suffix == ".md" else self.html()
+        names = [*beside, *(files or {}), path.name]
+        assert all(name.endswith(REPORT_SUFFIXES) for name in names), f"one would overwrite a user's file: {names}"
         with together():
             make_folder(path.parent)
             if results is not None:

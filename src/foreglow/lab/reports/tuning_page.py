@@ -43,20 +43,23 @@ HEADINGS = {
 def write_report(tuning: Tuning, folder: Path) -> Path:
     """Writes what came of a search to `folder`, and returns the path of `report.md`.
 
-    `best.toml` for `--config`, `trials.csv`, `summary.json`; then `parallel.png`, `importance.png` and `report.md`.
+    `best.toml` for `--config`, `trials.csv`, `summary.json`, `parallel.png`, `importance.png` and `report.md`: all of
+    them or none.
 
     Raises:
-        ModuleNotFoundError: If Matplotlib is not installed; the first three files are there then.
+        ModuleNotFoundError: If Matplotlib is not installed.
         OSError: If a file cannot be written.
     """
+    page = _page(tuning)
     folder.mkdir(parents=True, exist_ok=True)
     with together():
         write_atomic(folder / "best.toml", _best_toml(tuning).encode())
         write_atomic(folder / "trials.csv", _trials(tuning).csv().encode())
         write_json_results(folder / "summary.json", provenance() | _summary(tuning))
+        report = page.write(folder / "report.md")
     if not tuning.importances:
         (folder / "importance.png").unlink(missing_ok=True)
-    return _page(tuning).write(folder / "report.md")
+    return report
 
 
 def _best_toml(tuning: Tuning) -> str:

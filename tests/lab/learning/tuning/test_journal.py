@@ -71,6 +71,17 @@ def test_a_damaged_line_of_a_journal_is_named(tmp_path: Path, damage: Callable[[
     assert journal.read_bytes() == before
 
 
+def test_a_line_of_a_journal_that_is_there_twice(begun: bytes, tmp_path: Path) -> None:
+    journal = tmp_path / "study.journal"
+    lines = begun.splitlines(keepends=True)
+    for number, line in enumerate(lines, start=1):
+        journal.write_bytes(begun + line)
+        expected = rf"line {len(lines) + 1}: expected another line than line {number}; choose another folder"
+        if json.loads(line)["op_code"]:  # else it begins a study, as each process does
+            with pytest.raises(ValueError, match=expected):
+                open_study(StudyPlan(str(journal), "name", TuningSettings()))
+
+
 COUNT, FINITE = "expected a whole number of at least 0, got", "expected a finite number, got"
 ATTRIBUTE = "expected one attribute as a search writes it, got"
 

@@ -283,6 +283,10 @@ def test_a_database_of_something_else_stays_as_it_is(tmp_path: Path, content: by
     assert path.read_bytes() == before
 
 
+IN_MEMORY = ("://", ":///", ":///:memory:", "+pysqlite://")
+"""What makes URLs of databases that are gone with their connection."""
+
+
 @pytest.mark.parametrize(
     ("storage", "reason"),
     [
@@ -291,6 +295,9 @@ def test_a_database_of_something_else_stays_as_it_is(tmp_path: Path, content: by
             "http://x: expected the URL of a database that can be opened, such as sqlite:///FILE, or a file: ",
         ),
         ("redis://localhost", "redis://localhost: expected the URL of a database"),
+        *((f"sqlite{url}", f"sqlite{url}: expected a database that keeps what is written") for url in IN_MEMORY),
+        ("sqlite:///file:notes?mode=memory&cache=shared&uri=true", "expected sqlite:///FILE"),
+        ("sqlite+pysqlite:///{notes}", "notes.txt: expected a new file, or a database of searches"),
         ("sqlite:////proc/none/x", "sqlite:////proc/none/x: expected the URL of a database"),
         ("sqlite:///{notes}", "notes.txt: expected a new file, or a database of searches"),
         ("{notes}", "notes.txt: expected a new file, or the journal of a search"),
@@ -306,6 +313,24 @@ def test_a_storage_is_looked_at_before_frames_are_decoded(
     )
     assert reason in refused
     assert list(tmp_path.iterdir()) == [notes]
+
+
+def test_a_search_without_a_finished_trial_is_no_success(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("foreglow.lab.learning.tuning.search._run_trials", lambda *_: None)
+    refused = complaint("tune", data, "--trials", 2, "--images", 4, "--out", tmp_path / "out")
+    assert f"{tmp_path / 'out' / 'study.journal'}: expected a finished trial, found none" in refused
+    assert not (tmp_path / "out" / "best.toml").exists()
+
+
+@pytest.mark.parametrize("name", ["val", "test"])
+def test_a_split_that_is_train_by_another_name_judges_nothing(name: str, tmp_path: Path) -> None:
+    data = make_night_set(tmp_path / "data", ("train",), num_images=2)
+    (split,) = data.rglob("train")
+    (split.parent / name).symlink_to(split)
+    with pytest.raises(ValueError, match="train: expected a split to train on, got one that judges what is learnt"):
+        searched(data, tmp_path / "out", 1)
 
 
 def test_labels_are_no_storage(data: Path, tmp_path: Path) -> None:

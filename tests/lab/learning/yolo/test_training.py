@@ -143,8 +143,8 @@ def test_a_network_that_found_nothing_is_as_it_was_last(
 
 def test_a_broken_checkpoint(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(Calls("")))
-    weights = tmp_path / "run/training/run/weights"
-    weights.mkdir(parents=True)
+    weights = train_yolo(data, tmp_path / "run", config()).weights.parent
+    (tmp_path / "run" / "results.json").unlink()
     for content in (b"", b"half", b"PK\x03\x04"):
         (weights / "last.pt").write_bytes(content)
         with pytest.raises(ValueError, match=r"last\.pt: expected a checkpoint"):

@@ -25,6 +25,7 @@ from foreglow.lab.studies.detector.rows import (
     split_digest,
 )
 from foreglow.lab.studies.detector.run import DetectorResults, run_experiment
+from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.models import model_path
 from foreglow.proposals import make_proposer
 from foreglow.proposals.reference import ReferenceProposer
@@ -204,6 +205,40 @@ def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Training
     (folder / "summary.json").write_text("{}")
     with pytest.raises(ValueError, match=r"summary\.json: expected the summary of a training: KeyError"):
         run_experiment(data, tmp_path / "fourth", plan)
+
+
+def of_network(path: Path, recipe: str) -> Path:
+    """A model that says that it is of a recipe's network, whatever it is."""
+    import onnx
+
+    model = onnx.load(make_model(path))
+    onnx.helper.set_model_props(model, {"recipe": recipe})
+    onnx.save(model, path)
+    return path
+
+
+@pytest.mark.parametrize("row", [name for name, spec in ROWS.items() if spec.kind == "classifier"])
+def test_a_model_that_says_that_it_is_another_network(row: str, tmp_path: Path) -> None:
+    paper = of_network(tmp_path / "paper.onnx", '{"network": "paper"}')
+    both = of_network(tmp_path / "both.onnx", '{"network": "both"}')
+    compact = of_network(tmp_path / "compact.onnx", '{"network": "compact"}')
+    fitting = {"compact": [compact], "ours": [compact, both], "published": []}.get(row, [paper])
+    for model in (paper, both, compact):
+        if model in fitting:
+            DetectorPlan(rows=(row,), given={row: model})
+        else:
+            words = rf"{model.name}: metadata: recipe: expected .* with {ROWS[row].option}, got '{model.stem}'"
+            with pytest.raises(ValueError, match=words):
+                DetectorPlan(rows=(row,), given={row: model})
+    broken = of_network(tmp_path / "broken.onnx", "[" * 9999)
+    with pytest.raises(ValueError, match="metadata: recipe: expected that of a training"):
+        DetectorPlan(rows=(row,), given={row: broken})
+
+
+def test_the_papers_chain_has_the_papers_network(tmp_path: Path) -> None:
+    paper_chain(of_network(tmp_path / "paper.onnx", '{"network": "paper"}'))
+    with pytest.raises(ValueError, match="expected a network paper with --paper-model, got 'both'"):
+        paper_chain(of_network(tmp_path / "both.onnx", '{"network": "both"}'))
 
 
 def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import hashlib
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -151,13 +152,16 @@ def check_journal(path: Path) -> None:
         if file.read(len(FIRST_BYTES)) not in (b"", FIRST_BYTES):
             raise NoJournalError(f"{path}: expected a new file, or the journal of a search, which begins with its line")
         file.seek(0)
-        names, num_trials = set[str](), 0
+        names, num_trials, lines = set[str](), 0, dict[bytes, int]()
         for number, line in enumerate(file, start=1):
             if not line.endswith(b"\n"):  # it is being written, or never was
                 break
             record = _record(line)
             if record is None:
                 raise NoJournalError(f"{path}: line {number}: expected a whole record of a search; {WAYS_OUT}")
+            first = lines.setdefault(hashlib.sha256(line).digest(), number)
+            if first != number and record["op_code"] != _BEGINS_STUDY:  # all else happens once, at its time
+                raise NoJournalError(f"{path}: line {number}: expected another line than line {first}; {WAYS_OUT}")
             wrong = _wrong_field(record)
             if wrong is not None:
                 raise NoJournalError(f"{path}: line {number}: {wrong}; {WAYS_OUT}")

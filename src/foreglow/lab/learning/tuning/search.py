@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.lab.learning.annotation import Progress, existing_splits
+from foreglow.lab.learning.training_run import check_apart
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER, Parameters
 from foreglow.lab.learning.tuning.study import (
@@ -116,12 +117,14 @@ def tune(
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
-        ValueError: If a label or an image is broken, the storage cannot be used, or the study there has another seed.
+        ValueError: If train is val or test by another name, a label or an image is broken, the storage cannot be used,
+            the study there has another seed, or no trial was finished.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
     """
     import optuna  # noqa: F401  before anything is decoded
 
     folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
+    check_apart([folders["train"]], [folder for name, folder in folders.items() if name != "train"], [])
     splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()
     storage = settings.storage or str(out / "study.journal")
     check_storage(storage)
@@ -136,6 +139,8 @@ def tune(
     _run_trials(study, plan, material, workers, progress)
     searched_s = time.monotonic()
     trials = _records(study)
+    if not trials:
+        raise ValueError(f"{plan.shown_storage}: expected a finished trial, found none: the same command goes on")
     finalists = _on_train(_best(trials, settings), Bench(material), settings)
     finalists = _on_val(finalists, splits.get("val"), settings, progress)
     finalists = _on_test(finalists, splits.get("test"), progress)

@@ -37,9 +37,6 @@ IMPORTANCE_TRIALS = 20
 """Smallest number of finished trials for which importances are meaningful."""
 
 
-_SQLITE = "sqlite:///"
-"""The begin of a URL of a database in a file."""
-
 _SEED = "seed"
 """Where a study keeps its seed: its first trials do not tell it."""
 
@@ -141,7 +138,7 @@ def check_storage(storage: str) -> None:
 
     Raises:
         ModuleNotFoundError: If a package for the database is not installed.
-        ValueError: If it cannot.
+        ValueError: If it cannot, such as a database that is gone with its connection.
     """
     from optuna.storages import RDBStorage
 
@@ -149,13 +146,39 @@ def check_storage(storage: str) -> None:
         check_journal(Path(storage))
         return
     try:
-        if storage.startswith(_SQLITE):
-            check_database(Path(storage.removeprefix(_SQLITE)))
+        _check_file(storage)
         RDBStorage(storage).engine.dispose()
+        if not _has_studies(storage):  # such as one in memory; others would not see the trials of this process
+            raise NoJournalError(
+                _without_password(f"storage: {storage}: expected a database that keeps what is written", storage)
+                + ", such as sqlite:///FILE"
+            )
     except (ModuleNotFoundError, OSError, NoJournalError):
         raise
     except Exception as error:  # as in `open_study`
         raise _unusable(storage, error) from None
+
+
+def _check_file(url: str) -> None:
+    """As `check_database`, for the file of a URL if it has one."""
+    import sqlalchemy
+
+    parts = sqlalchemy.make_url(url)
+    if parts.get_backend_name() == "sqlite" and parts.database not in (None, "", ":memory:"):
+        if parts.database.startswith("file:"):
+            raise NoJournalError(f"storage: {url}: expected sqlite:///FILE, with the path of the file alone")
+        check_database(Path(parts.database))
+
+
+def _has_studies(url: str) -> bool:
+    """Whether a new connection to a database finds the table of studies that an earlier one has made."""
+    import sqlalchemy
+
+    engine = sqlalchemy.create_engine(url)
+    try:
+        return "studies" in sqlalchemy.inspect(engine).get_table_names()
+    finally:
+        engine.dispose()
 
 
 def _unusable(url: str, error: Exception) -> ValueError:
@@ -196,9 +219,8 @@ def check_database(path: Path) -> None:
 
 
 def _storage(storage: str) -> BaseStorage | str:
-    if storage.startswith(_SQLITE):
-        check_database(Path(storage.removeprefix(_SQLITE)))
     if "://" in storage:
+        _check_file(storage)
         return storage
     check_journal(Path(storage))
     from optuna.storages import JournalStorage

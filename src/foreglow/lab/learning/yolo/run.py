@@ -30,7 +30,7 @@ from foreglow.provenance import provenance
 from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
 
-CONFIG_NAME, RESULTS_NAME = "config.json", "results.json"
+CONFIG_NAME, RESULTS_NAME, TRAINING_NAME = "config.json", "results.json", "training"
 
 
 class YoloSettings(Record):
@@ -104,6 +104,7 @@ def train_yolo(
         ValueError: If a file is broken, or `folder` holds a run with other settings.
         ModuleNotFoundError: If the library is not installed.
     """
+    _check_own(folder)
     backend = BACKENDS[config.backend]()
     backend.check(config)
     origin = {"data": str(data), f"{config.backend}_version": backend.version()} | provenance()
@@ -119,7 +120,7 @@ def train_yolo(
         write_atomic(path, (json.dumps(settings.model_dump() | origin, indent=1) + "\n").encode())
     if not (folder / RESULTS_NAME).exists() or not read_yolo_run(folder).weights.is_file():
         started = time.perf_counter()
-        weights = backend.train(data_file, folder / "training", config)
+        weights = backend.train(data_file, folder / TRAINING_NAME, config)
         detector = backend.load(weights, config)
         results = YoloResults(
             weights=str(weights.relative_to(folder)),
@@ -129,6 +130,18 @@ def train_yolo(
         )
         write_atomic(folder / RESULTS_NAME, (results.model_dump_json(indent=1) + "\n").encode())
     return read_yolo_run(folder)
+
+
+def _check_own(folder: Path) -> None:
+    """ValueError if a folder has a file or folder with the name of a result, and no run that was begun."""
+    if (folder / CONFIG_NAME).exists():
+        read_json(folder / CONFIG_NAME, YoloSettings)
+        return
+    for path in (folder / RESULTS_NAME, folder / TRAINING_NAME):
+        if path.exists():
+            raise ValueError(
+                f"{path}: expected nothing there but earlier results of this command; choose another folder"
+            )
 
 
 def read_yolo_run(folder: Path) -> YoloRun:

@@ -17,6 +17,7 @@ from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_confi
 from foreglow.datasets import SplitName, open_labelled, split_folder
 from foreglow.files import MAX_JSON_BYTES, file_digest, read_bytes, read_plain_json
 from foreglow.lab.studies.progress import Progress
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import RunProgress
@@ -159,7 +160,7 @@ def check_given(given: Mapping[str, Path]) -> None:
 
     Raises:
         FileNotFoundError: If one is missing.
-        ValueError: If one is broken, or was trained on another preset's boxes.
+        ValueError: If one is broken, was trained on another preset's boxes, or says that it is another network.
     """
     for name, path in given.items():
         spec = ROWS[name]
@@ -167,9 +168,29 @@ def check_given(given: Mapping[str, Path]) -> None:
             raise FileNotFoundError(f"{path}: no such model, given with {spec.option}")
         file = _model_file(path, spec.kind)
         if spec.kind == "classifier":
-            OnnxClassifier(ClassifierConfig(model=file))
+            _check_network(file, OnnxClassifier(ClassifierConfig(model=file)).metadata, spec)
             if path.is_dir():
                 _trained_configuration(path, spec)
+
+
+def _check_network(file: Path, metadata: Mapping[str, str], spec: RowSpec) -> None:
+    """ValueError if a model says by its recipe, as `train` writes it, that it is not of this row."""
+    from foreglow.lab.learning.recipes import RECIPES
+
+    if "recipe" not in metadata:
+        return
+    try:
+        network = json.loads(metadata["recipe"])["network"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise ValueError(f"{file}: metadata: recipe: expected that of a training, as JSON") from None
+    networks = {recipe.network for recipe in RECIPES.values()}
+    if spec.recipe == "foreglow":
+        wanted = networks - {RECIPES["paper"].network}  # ours, before and after a change of the recipe
+    else:
+        wanted = {RECIPES[spec.recipe].network} if spec.recipe else set()
+    if network not in wanted:
+        words = f"a network {' or '.join(sorted(wanted))}" if wanted else "weights of `import-weights`"
+        raise ValueError(f"{file}: metadata: recipe: expected {words} with {spec.option}, got {shortened(network)}")
 
 
 def missing_reason(name: str, plan: DetectorPlan) -> str | None:
