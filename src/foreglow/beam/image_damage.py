@@ -101,8 +101,9 @@ WORDS_RISE, MANY_WORDS_RISE, NOISY_WORDS_SHARE, MIN_WORDS = 0.1, 0.3, 0.08, 200
 """Damage: in two images `share_words` or `share_words_above` exceeds the greatest usual one by more than the first
 number, or the second where the contrast has fallen, where that was no more than the third one and the noise of each
 usual image was new; of at least so many words. So small parts of the image just before are found, at whatever places in
-each image, and parts whose rows are alike. Measured: intact raw images, MJPEG and 0.36 bits a pixel .06 at most, also
-at an eighth of the light, raw; within a second it rises by .007 at most, .08 where nine tenths of the light go."""
+each image (where `RAW_SHARE` holds: else an encoder may leave most of an image as it was), and parts whose rows are
+alike. Measured: intact raw images, MJPEG and 0.36 bits a pixel .06 at most, raw also at an eighth of the light; within
+a second it rises by .007 at most, .08 where nine tenths of the light go."""
 
 CONTRAST_STAYS = 0.6
 """But this does not begin where `contrast` has fallen below this share of the usual one: with the light, the noise ends
@@ -305,10 +306,10 @@ class ImageDamage:
         shares = np.array([known.share_words, known.share_words_above])
         changes = _older(self._changes)
         is_noisy = min(each.share_changed for each in changes) > FRESH_SHARE
+        could_be = is_noisy & np.array([self._is_raw(), True]) & (most <= NOISY_WORDS_SHARE)
         contrast = statistics.median(each.contrast for each in changes)
         is_lit = self._old_words.is_latest or change.contrast > CONTRAST_STAYS * contrast
-        has_risen = shares > most + (WORDS_RISE if is_lit else MANY_WORDS_RISE)
-        return bool(is_noisy and (has_risen & (most <= NOISY_WORDS_SHARE)).any())
+        return bool((could_be & (shares > most + (WORDS_RISE if is_lit else MANY_WORDS_RISE))).any())
 
     def _has_stripes(self, stripes: Floats) -> bool:
         """Whether rows or columns differ in turn more than they usually do."""
