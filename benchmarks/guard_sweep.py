@@ -68,7 +68,7 @@ class Grid:
     azimuths_deg: Sequence[float] = (-22, -12, -7, -3, -1, 0, 0.5, 2, 5, 9, 16)
     elevations_deg: Sequence[float] = (-2.0, -0.5, 0.5, 2.0)
     widths_deg: Sequence[float] = (0.1, 0.6, 3.0)
-    ranges_m: Sequence[float] = (math.nan, 12.0, 45.0, 80.0, 130.0, 400.0)
+    ranges_m: Sequence[float] = (math.nan, 9.0, 45.0, 80.0, 130.0, 400.0)
     relative_sigmas: Sequence[float] = (0.02, 0.3)
     are_plausible: Sequence[bool] = (True, False)
     wanted: Sequence[float] = (0.02, 0.5, 1.0, math.nan, DIPPED)
@@ -82,7 +82,7 @@ QUICK = Grid(
     azimuths_deg=(-12, -1, 0.5, 5),
     elevations_deg=(-0.5, 0.5),
     widths_deg=(0.1, 3.0),
-    ranges_m=(math.nan, 45.0, 130.0),
+    ranges_m=(math.nan, 9.0, 130.0),
     relative_sigmas=(0.1,),
     wanted=(0.5, 1.0, math.nan, DIPPED),
     speeds_mps=(20.0, 8.8, None),
@@ -182,7 +182,7 @@ def _towards(lamps: Lamps, box: Floats, range_m: float, sigma_m: float, count: i
     rays = CAMERA.rays(np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)) @ MOUNT.rotation.T
     ranges_m = np.array([15.0, 25.0, 60.0, 1e6])
     if not math.isnan(range_m):
-        ranges_m = np.maximum(np.linspace(range_m - NUM_SIGMAS * sigma_m, range_m + NUM_SIGMAS * sigma_m, 4), 15.0)
+        ranges_m = np.linspace(range_m - NUM_SIGMAS * sigma_m, range_m + NUM_SIGMAS * sigma_m, 4)
     lights = MOUNT.position_m + rays * ranges_m[:, np.newaxis, np.newaxis]
     points = np.concatenate([lights + np.array([0.0, 0.0, up_m]) for up_m in (0.0, 0.25, 0.5)]).reshape(-1, 3)
     leds, azimuths = [], []

@@ -16,6 +16,10 @@ ASIDE = 0.2
 """Farther aside, the elevation of what is equally high in the image nears 0: by less than this share of the angle."""
 
 
+CLOSEST_M = 4.0
+"""No vehicle is nearer to the camera: about as far away is the front end of ours."""
+
+
 class Sightlines:
     """The directions from two lamps to whatever the camera sees in boxes."""
 
@@ -34,8 +38,8 @@ class Sightlines:
             camera: The camera.
             boxes_xyxy_px: Shape (M, 4); what lies beyond the image counts with the angles of pixels in its middle, the
                 largest without distortion, up to a right angle.
-            ranges_m: Shape (M,), from the camera; NaN where unknown: then any range is possible.
-            sigmas_m: Shape (M,), standard deviations.
+            ranges_m: Shape (M,), from the camera; NaN where unknown: then any range from `min_range_m` on is possible.
+            sigmas_m: Shape (M,), standard deviations; where they are not finite, ranges count as unknown.
 
         Returns:
             Spans, shape (M, 2, 4), for the left and the right lamp: least and greatest azimuth, least and greatest
@@ -46,7 +50,8 @@ class Sightlines:
         """
         count = len(ranges_m)
         spread_m = self._config.range_sigmas * sigmas_m
-        nearest_m = np.fmax(ranges_m - spread_m, self._config.min_range_m)
+        is_known = np.isfinite(ranges_m) & np.isfinite(spread_m)
+        nearest_m = np.where(is_known, np.fmax(ranges_m - spread_m, CLOSEST_M), self._config.min_range_m)
         farthest_m = np.maximum(ranges_m + spread_m, nearest_m)
         nearness = np.empty((count, 2, 1, 1))
         nearness[:, 0, 0, 0] = 1.0 / nearest_m

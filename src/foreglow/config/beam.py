@@ -111,7 +111,7 @@ class GuardConfig(FrozenModel):
             at 15 m (49 CFR 571.108) leaves of two lamps with 200 cd of stray light each. All are from public notes,
             not from the official texts.
         range_sigmas: A vehicle may be nearer or farther than its range by so many standard deviations.
-        min_range_m: The nearest range of a vehicle; also used if no range is known.
+        min_range_m: The nearest that a vehicle of unknown range may be.
         eyes_above_m: Drivers' eyes are up to so far above the lamps (R123's test points).
     """
 
