@@ -97,6 +97,20 @@ def test_nothing_but_the_noise_changes(drive: list[Image], picture: str, noise: 
     assert all(faults[NUM_GOOD + 2 :])
 
 
+@pytest.mark.parametrize(("read_out", "of_light"), [(1.0, 0.1), (1.0, 0.4), (1.0, 1.0), (2.0, 0.4), (2.0, 1.0)])
+def test_nothing_but_the_noise_of_light_changes(read_out: float, of_light: float) -> None:
+    """The noise of a linear sensor grows with the light, so that bright pieces change by more than dark ones."""
+    drive = [frame.image for frame in open_source(shipped_drive())]
+    rng = np.random.default_rng(5)
+    images = [*drive[:NUM_GOOD], *[drive[NUM_GOOD]] * NUM_WRONG]
+    images = [
+        rng.normal(image, np.sqrt(read_out**2 + of_light * image)).clip(0, 255).astype(np.uint8) for image in images
+    ]
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.FROZEN in found for found in faults[NUM_GOOD + 2 :])
+
+
 def test_a_car_that_stands_sees_nothing_but_noise(drive: list[Image]) -> None:
     assert not any(faults_of(with_noise([drive[0]] * 40), is_moving=False))
 

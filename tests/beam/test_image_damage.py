@@ -33,6 +33,18 @@ def test_a_part_filled_with_one_value(drive: list[Image], width: float, value: i
     assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD + 1 :])
 
 
+@pytest.mark.parametrize("value", [235, 255])
+@pytest.mark.parametrize("place", [np.s_[:, :40], np.s_[:, 400:], np.s_[:50], np.s_[120:180, 100:300]])
+def test_a_part_that_is_suddenly_white(drive: list[Image], place: Any, value: int) -> None:
+    """Also where an encoder has removed the noise, so that nothing else tells it."""
+    images = [(image // 4 * 4).astype(np.uint8) for image in drive]
+    for image in images[NUM_GOOD:]:
+        image[place] = value
+    faults = faults_of(images)
+    assert not any(faults[:NUM_GOOD])
+    assert all(GuardFault.DAMAGED in found for found in faults[NUM_GOOD:])
+
+
 @pytest.mark.parametrize("first", [0, 1])
 def test_a_half_image_that_is_stuck(drive: list[Image], first: int) -> None:
     """Every other row, as where one field of an interlaced camera comes no more."""

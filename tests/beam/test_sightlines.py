@@ -105,7 +105,14 @@ def test_spans_are_no_wider_than_the_box_needs() -> None:
 
 @pytest.mark.parametrize(
     ("range_m", "sigma_m", "nearest_m"),
-    [(math.nan, math.inf, 15.0), (80.0, math.inf, 15.0), (80.0, math.nan, 15.0), (80.0, 5.0, 70.0), (9.0, 0.1, 8.8), (3.0, 0.1, CLOSEST_M)],
+    [
+        (math.nan, math.inf, 15.0),
+        (80.0, math.inf, 15.0),
+        (80.0, math.nan, 15.0),
+        (80.0, 5.0, 70.0),
+        (9.0, 0.1, 8.8),
+        (3.0, 0.1, CLOSEST_M),
+    ],
 )
 def test_what_is_not_known_may_be_anywhere(range_m: float, sigma_m: float, nearest_m: float) -> None:
     lines = Sightlines(LAMPS_M, guard_config())

@@ -66,6 +66,9 @@ the samples change in single key frames only."""
 LONGEST_STEP_NS = 200_000_000
 """Of a longer pause only so much counts: nothing is seen meanwhile, and a wrong time ends no fault."""
 
+MOST_NOISE = 3
+"""Images of nothing but new noise count up to so many, and others back: a single other one does not say that we see."""
+
 NUM_UNKNOWN = 40
 """After so many images of another size or type all is found that shows from the first image on."""
 
@@ -138,8 +141,10 @@ class CameraWatch:
         is_frozen = self._stillness.update(
             change, self._time_ns, is_moving, is_repeated=known.is_repeated, has_old_parts=has_old_parts
         )
-        if pieces.is_noise or not known.is_repeated:
-            self._num_noise = self._num_noise + 1 if pieces.is_noise else 0
+        if pieces.is_noise:
+            self._num_noise = min(self._num_noise + 1, MOST_NOISE)
+        elif not known.is_repeated:
+            self._num_noise = max(self._num_noise - 1, 0)
         is_feigned = self._num_noise >= 2 and is_moving is True
         if is_frozen or is_feigned or (known.is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
@@ -147,7 +152,15 @@ class CameraWatch:
             one_value = _share_of_one_value(sample, top)
             is_still = self._stillness.is_still
             is_damaged |= self._damage.update(
-                change, pieces, one_value, known, stripes, self._time_ns / 1e9, is_still=is_still, is_moving=is_moving
+                change,
+                pieces,
+                one_value,
+                int(num_white) / sample.size,
+                known,
+                stripes,
+                self._time_ns / 1e9,
+                is_still=is_still,
+                is_moving=is_moving,
             )
             if not is_damaged:
                 self._comparer.keep()
