@@ -265,7 +265,7 @@ class Page:
         return path
 
     def files(self, name: str) -> dict[str, bytes]:
-        """What belongs into the folder of the page by its name: its figures, and last the page itself, called `name`."""
+        """What belongs into the folder of the page by its name: its figures, and last the page, called `name`."""
         text = self.markdown() if name.endswith(".md") else self.html()
         beside = {figure.file: figure.data for figure in self._figures if figure.file}
         return {**beside, name: text.encode()}
