@@ -437,7 +437,7 @@ def test_a_study_of_another_program_in_a_database_is_told(data: Path, tmp_path: 
     (name,) = optuna.get_all_study_names(f"sqlite:///{tmp_path}/ours.db")
     for number, directions in enumerate((["maximize"], ["minimize", "minimize"])):
         storage = f"sqlite:///{tmp_path}/{number}.db"
-        optuna.create_study(storage=storage, study_name=name, directions=directions)
+        optuna.create_study(storage=storage, study_name=name, directions=directions)  # type: ignore[arg-type]
         with pytest.raises(
             ValueError, match=rf"study {name}: expected one that minimises one loss, got .*{directions[-1]}"
         ):
