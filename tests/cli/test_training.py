@@ -160,6 +160,11 @@ def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options
     assert (out / "model.onnx").read_bytes() == model
     line = complaint(*options, "--out", out, "--epochs", 3)
     assert "checkpoint.pt: epochs: expected that of the training begun here, 2, got 3; choose another folder" in line
+    more, before = make_drives(tmp_path / "more", num_images=1), sorted(out.rglob("*"))
+    for data in ([more], [options[1], more]):
+        line = complaint("train", *data, *options[2:], "--out", out, "--epochs", 2)
+        assert "checkpoint.pt: train data: expected that of the training begun here" in line
+    assert sorted(out.rglob("*")) == before  # no samples of the refused data
 
 
 def test_damaged_results_are_made_anew(tmp_path: Path, options: list[object]) -> None:

@@ -21,8 +21,8 @@ from foreglow.files import check_each_once, json_text
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
-from foreglow.lab.learning.sample_cache import cached_samples
-from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined
+from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
+from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined, joined_digest
 from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.own_folders import check_as_written, replace_results
@@ -80,6 +80,7 @@ def train_model(
     import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
+    from foreglow.lab.learning.checkpoints import NAME as CHECKPOINT
     from foreglow.lab.learning.checkpoints import check_begun
     from foreglow.lab.learning.teaching import read_teachers, taught_kinds
     from foreglow.lab.learning.training import torch_device, train
@@ -103,6 +104,10 @@ def train_model(
         "val": [open_labelled(path) for path in judging],
     }
     check_begun(folder, recipe.model_dump(mode="json"))
+    if (folder / CHECKPOINT).exists():  # else there is nothing that it could not go on from
+        configs = {name: _sample_config(recipe, config, name) for name in names}
+        digests = {name: [samples_digest(dataset, configs[name]) for dataset in splits[name]] for name in names}
+        check_begun(folder, {f"{name} data": joined_digest(found) for name, found in digests.items()})
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
@@ -222,16 +227,17 @@ def labelled_samples(
     progress: RunProgress | None,
 ) -> Samples:
     """The samples of a split for a recipe, from `cache` or made and kept there; only those of train have copies."""
-    jitter = recipe.jitter if split == "train" else Jitter()
-    sample_config = SampleConfig(
-        proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light
-    )
 
     def report(num_done: int, num_images: int) -> None:
         if progress is not None:
             progress.samples(split, num_done, num_images)
 
-    return cached_samples(dataset, sample_config, cache, report)
+    return cached_samples(dataset, _sample_config(recipe, config, split), cache, report)
+
+
+def _sample_config(recipe: Recipe, config: PipelineConfig, split: SplitName) -> SampleConfig:
+    jitter = recipe.jitter if split == "train" else Jitter()
+    return SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light)
 
 
 def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
