@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import importlib
 import itertools
 import json
@@ -26,7 +25,6 @@ from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSett
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
 from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
-from foreglow.lab.reports.tuning_page import write_report
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -442,45 +440,6 @@ def test_a_study_of_another_program_in_a_database_is_told(data: Path, tmp_path: 
             ValueError, match=rf"study {name}: expected one that minimises one loss, got .*{directions[-1]}"
         ):
             searched(data, tmp_path / "out", 1, storage=storage)
-
-
-CHANGED = ["best.toml", "trials.csv", "summary.json", "report.md", "parallel.png", "importance.png"]
-"""What a search writes at its end; with few trials, the last is not of it."""
-
-
-def test_results_that_a_user_has_changed_stay(data: Path, tmp_path: Path) -> None:
-    """They were replaced without a word, best.toml too, which people adjust by hand."""
-    out = tmp_path / "out"
-    command = ("tune", data, "--images", 4, "--out", out, "--trials")
-    assert foreglow_command(*command, 2).exit_code == 0
-    for name in CHANGED:
-        made = (out / name).read_bytes() if (out / name).exists() else b""
-        (out / name).write_bytes(made + b"# mine\n")
-        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-        line = complaint(*command, 3)
-        assert f"{out / name}: expected the file as this command wrote it" in line
-        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before  # no trial, either
-        (out / name).write_bytes(made) if made else (out / name).unlink()
-    (out / "report.md").unlink()
-    done = foreglow_command(*command, 3)
-    assert done.exit_code == 0, done.output
-    assert len((out / "trials.csv").read_text().splitlines()) == 4
-    assert (out / "report.md").is_file()
-    (out / "checksums.json").unlink()
-    assert "expected the file as this command wrote it" in complaint(*command, 4)
-
-
-def test_a_result_that_is_changed_during_a_search_stays(straight: Tuning, tmp_path: Path) -> None:
-    write_report(straight, tmp_path)
-    for name in ("best.toml", "importance.png"):
-        made = (tmp_path / name).read_bytes()
-        (tmp_path / name).write_text("mine")
-        with pytest.raises(ValueError, match=f"{name}: expected the file as this command wrote it"):
-            write_report(dataclasses.replace(straight, importances={}), tmp_path)
-        assert (tmp_path / name).read_text() == "mine"
-        (tmp_path / name).write_bytes(made)
-    write_report(dataclasses.replace(straight, importances={}), tmp_path)
-    assert not (tmp_path / "importance.png").exists()
 
 
 def test_command_complains(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
