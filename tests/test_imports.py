@@ -42,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     "calibration": {"types", "geometry", "config", "files", "wording"},
     "maps": {"types", "geometry", "street", "files", "wording"},
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
-    "classifier": VALUES | {"models", "_native", "files", "protobuf"},
+    "classifier": VALUES | {"models", "_native", "files", "own_files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},
     "datasets": VALUES | {"calibration", "maps", "files", "whole_files", "folder_lock", "own_files", "protobuf"},
     "runs": VALUES

@@ -13,6 +13,7 @@ import foreglow
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.datasets import read_image
+from foreglow.lab.learning.recipes import recipe, recipe_to_toml
 from foreglow.models import BUNDLED, SHA256, model_path
 from foreglow.types import Frame
 from tests.shared_data import shared_file
@@ -59,6 +60,22 @@ def test_a_model_of_a_training_is_the_one_that_it_wrote(tmp_path: Path) -> None:
         OnnxClassifier(config)
     summary.unlink()
     OnnxClassifier(config)
+
+
+def test_a_damaged_summary_of_a_training_does_not_hide_a_damaged_model(tmp_path: Path) -> None:
+    model, summary = tmp_path / "model.onnx", tmp_path / "summary.json"
+    model.write_bytes(model_path(Path(BUNDLED)).read_bytes())
+    (tmp_path / "recipe.toml").write_text(recipe_to_toml(recipe("compact")))
+    config = ClassifierConfig(model=model)
+    for damaged in ("", '{"model_sha256": "', "[]", "{}", *(f'{{"model_sha256": {v}}}' for v in ("3", "null", '""'))):
+        summary.write_text(damaged)
+        with pytest.raises(
+            ValueError, match=r"summary\.json: model_sha256: expected the SHA-256 of model\.onnx"
+        ) as told:
+            OnnxClassifier(config)
+        assert "\n" not in str(told.value)
+    summary.unlink()
+    OnnxClassifier(config)  # such as a copy
 
 
 def test_the_default_pipeline_classifies() -> None:

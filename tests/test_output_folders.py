@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from foreglow.datasets import shipped_drive
 from foreglow.folder_lock import FolderLock, locked
 from foreglow.lab.learning.recipes import recipe, recipe_to_toml
 from foreglow.outputs import check_outputs, running
@@ -144,6 +146,29 @@ def test_a_folder_in_place_of_a_result_is_told(tmp_path: Path, command: str) -> 
     assert f"{out / 'config.toml'}: expected a file to write, or nothing, got a folder" in refused
 
 
+@pytest.mark.parametrize(("command", "inner"), [("train", "samples"), ("tune", "frames")])
+def test_a_file_in_place_of_a_folder_of_results_is_told(tmp_path: Path, command: str, inner: str) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / inner).write_text("mine")
+    refused = complaint(command, tmp_path / "data", "--out", out)
+    assert f"{out / inner}: expected a folder to write into, or nothing, got a file" in refused
+    assert (out / inner).read_text() == "mine"
+
+
+@pytest.mark.parametrize("place", [".", "train", "day/val", "night/test"])
+@pytest.mark.parametrize("command", ["run", "train", "tune", "evaluate", "experiment glare", "reproduce"])
+def test_a_data_set_is_no_folder_for_results(tmp_path: Path, command: str, place: str) -> None:
+    """Its split was the input, so that only the folder of all splits could be told from a new one by what it holds."""
+    shutil.copytree(shipped_drive(), tmp_path / "set" / place, dirs_exist_ok=True)
+    with running(command):
+        check_outputs({}, {}, {"--out": tmp_path})  # such as a working folder with data beside
+        with pytest.raises(ValueError, match=r"--out .*/set: expected a folder for the results, got a data set"):
+            check_outputs({}, {}, {"--out": tmp_path / "set"})
+    with running("simulate"):
+        check_outputs({}, {}, {"--out": tmp_path / "set"})
+
+
 @pytest.mark.parametrize(
     ("mark", "text", "part"),
     [
@@ -159,6 +184,12 @@ def test_a_part_of_earlier_results_is_no_folder_for_others(tmp_path: Path, mark:
     for command in ("train", "tune", "export-yolo"):
         refused = complaint(command, tmp_path / "data", "--out", tmp_path / part)
         assert f"--out {tmp_path / part}: expected a new folder for the results, not a part of {tmp_path}" in refused
+    shared = {"--cache": tmp_path / part}
+    if mark == TRAINING:
+        check_no_parts(shared, is_shared=True)
+    else:
+        refused = complaint("train", tmp_path / "data", "--out", tmp_path / "new", "--cache", tmp_path / part)
+        assert f"--cache {tmp_path / part}: expected a new folder for the results, not a part of {tmp_path}" in refused
     check_no_parts({"--out": tmp_path / "another"})
     (tmp_path / mark).unlink()
     check_no_parts({"--out": tmp_path / part})

@@ -169,6 +169,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         with running(_command_of(function), inputs):
             check_outputs(inputs, files, folders | shared)
             check_no_parts(folders)
+            check_no_parts(shared, is_shared=True)
             check_kinds(files, kinds)
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})

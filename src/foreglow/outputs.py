@@ -224,6 +224,9 @@ def _check_writer(name: str, folder: Path) -> None:
     for mark, kind in KINDS.items():
         if kind.commands and (folder / mark).is_file() and not command.startswith(kind.commands):
             raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
+    writers = tuple(writer for kind in KINDS.values() for writer in kind.commands)
+    if command.startswith(writers) and not any((folder / mark).is_file() for mark in KINDS) and _is_data_set(folder):
+        raise ValueError(f"{name} {folder}: expected a folder for the results, got a data set in PVDN's format")
     if command.startswith(REPORTING):
         check_new_report(f"{name} {folder}", folder)
     elif command in KEEPING:
@@ -265,6 +268,14 @@ def _is_split(folder: Path) -> bool:
     from foreglow.datasets.pvdn import is_split  # only here: the help comes without NumPy
 
     return is_split(folder)
+
+
+def _is_data_set(folder: Path) -> bool:
+    """Whether a folder is a split in PVDN's format, or one of a data set with its splits or those of its cycles."""
+    from foreglow.datasets.pvdn.schema import Cycle  # only here: the help comes without NumPy
+    from foreglow.datasets.pvdn.splits import SPLIT_NAMES
+
+    return any(_is_split(folder / cycle / name) for cycle in ("", *Cycle) for name in ("", *SPLIT_NAMES))
 
 
 def _has_split(folder: Path) -> bool:

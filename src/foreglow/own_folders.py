@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from foreglow.own_files import is_left, is_own, is_result_of_run, is_row
-from foreglow.whole_files import partial_path, write_atomic
+from foreglow.whole_files import partial_path, together, write_atomic
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -43,7 +43,8 @@ RESULT_FILES = (
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
 CHECKSUMS = "checksums.json"
-"""The file of an export that has the CRC-32 of the others by their paths in it: a list, for what is there meanwhile."""
+"""The file of an export, a training or a search that has the CRC-32 of others by their paths: a list, for what is
+there meanwhile."""
 
 MAX_CHECKSUMS_BYTES = 1 << 28
 """Largest such file: four million files."""
@@ -142,11 +143,15 @@ def check_own(folder: Path, mark: str) -> None:
         mark: `RUN`, `TRAINING` or `TUNING`.
 
     Raises:
-        ValueError: If it has one that something else wrote, which would be lost, or a folder of that name.
+        ValueError: If it has one that something else wrote, which would be lost, or a folder of that name; or if
+            there is a file in place of one of their folders.
     """
     names = dict.fromkeys((*KINDS[mark].parts, "config.toml", "summary.json"))
     for name in names:
         check_replaceable(folder / name)
+    for inner in KINDS[mark].folders:
+        if mark != RUN and (folder / inner).exists() and not (folder / inner).is_dir():
+            raise ValueError(f"{folder / inner}: expected a folder to write into, or nothing, got a file")
     if _has_earlier(folder, mark):
         return
     for path in (folder / name for name in names):
@@ -154,19 +159,21 @@ def check_own(folder: Path, mark: str) -> None:
             raise ValueError(_words_on_foreign(path))
 
 
-def check_no_parts(folders: Mapping[str, Path]) -> None:
+def check_no_parts(folders: Mapping[str, Path], *, is_shared: bool = False) -> None:
     """Checks that folders for results are not, and do not lie in, those that belong to a run, training or search.
 
     Args:
-        folders: By option, folders to write into, but for those that several commands share.
+        folders: By option, folders to write into.
+        is_shared: Whether several commands share them for samples, which may be those of a training.
 
     Raises:
         ValueError: If one does; the message names the earlier results.
     """
+    kinds = [kind for mark, kind in KINDS.items() if mark != TRAINING or not is_shared]
     for name, path in folders.items():
         with contextlib.suppress(OSError, RuntimeError):  # as in `_is_same`
             for part in (path.resolve(), *path.resolve().parents):
-                if any(part.name in kind.folders and _is_begun(part.parent, kind) for kind in KINDS.values()):
+                if any(part.name in kind.folders and _is_begun(part.parent, kind) for kind in kinds):
                     raise ValueError(
                         f"{name} {path}: expected a new folder for the results, not a part of {part.parent}"
                     )
@@ -221,10 +228,51 @@ def announce(folder: Path, checksums: Mapping[str, int]) -> None:
     Raises:
         OSError: If the record cannot be written.
     """
+    if _known_checksums(folder):
+        _announce(folder, checksums)
+
+
+def _announce(folder: Path, checksums: Mapping[str, int]) -> None:
     known = _known_checksums(folder)
-    if known:
-        both = known | {name: [*known.get(name, []), checksum] for name, checksum in checksums.items()}
-        write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0).encode())
+    both = known | {name: [*known.get(name, []), checksum] for name, checksum in checksums.items()}
+    write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0).encode())
+
+
+def check_as_written(folder: Path, names: Iterable[str]) -> None:
+    """Checks that files which are to be replaced are those that `replace_results` wrote, and nobody changed.
+
+    Args:
+        folder: Their folder, which need not be there.
+        names: Theirs; files that are missing or empty pass.
+
+    Raises:
+        ValueError: If one is another, or it is not known who wrote it; the message names it.
+        OSError: If one cannot be read.
+    """
+    check_replaceable(folder / CHECKSUMS)
+    known = _known_checksums(folder)
+    for path in (folder / name for name in names):
+        if path.is_file() and path.stat().st_size and _checksum(path) not in known.get(path.name, []):
+            raise ValueError(
+                f"{path}: expected the file as this command wrote it, by {CHECKSUMS} beside it, got another or a "
+                "changed one, which stays; choose another folder, or move it"
+            )
+
+
+def replace_results(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Writes files by their names into `folder`, all or none, where nothing or what this wrote before is replaced.
+
+    Raises:
+        ValueError: As `check_as_written`.
+        OSError: If one cannot be written; the message names it.
+    """
+    check_as_written(folder, files)
+    checksums = {name: zlib.crc32(data) for name, data in files.items()}
+    _announce(folder, checksums)  # first, so that all are known after a kill
+    with together():
+        for name, data in files.items():
+            write_atomic(folder / name, data)
+        write_atomic(folder / CHECKSUMS, checksums_file(checksums, folder))
 
 
 def checksums_file(checksums: Mapping[str, int], folder: Path | None = None) -> bytes:
@@ -243,7 +291,9 @@ def _known_checksums(folder: Path) -> dict[str, list[int]]:
             return dict(known)
     except (ValueError, RecursionError, AttributeError):  # the file may be anything
         pass
-    raise ValueError(f"{path}: expected the checksums of an export, got something else; remove the export")
+    raise ValueError(
+        f"{path}: expected the checksums of what Foreglow wrote here, got something else; choose another folder"
+    )
 
 
 def _checksum(path: Path) -> int:

@@ -29,7 +29,7 @@ from foreglow.lab.learning.fine_tuning import Judged
 from foreglow.lab.learning.recipes import RECIPES, read_recipe
 from foreglow.lab.learning.training import curves_csv
 from foreglow.lab.learning.training_progress import Epoch, TrainingBar
-from foreglow.lab.learning.training_run import train_model
+from foreglow.lab.learning.training_run import TEXTS, train_model
 from foreglow.lab.reports.training_pictures import draw_curves
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
@@ -72,7 +72,7 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     names = {path.name for path in out.iterdir()}
     assert names == {
         *("model.onnx", "weights.pt", "checkpoint.pt", "summary.json", "recipe.toml", "config.toml"),
-        *("curves.csv", "curves.png", "samples"),
+        *("curves.csv", "curves.png", "checksums.json", "samples"),
     }
     summary = json.loads((out / "summary.json").read_text())
     assert summary["samples"]["train"] == {"positive": 24, "negative": 48, "ignored": 0}  # with copies
@@ -160,6 +160,11 @@ def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options
     assert (out / "model.onnx").read_bytes() == model
     line = complaint(*options, "--out", out, "--epochs", 3)
     assert "checkpoint.pt: epochs: expected that of the training begun here, 2, got 3; choose another folder" in line
+    more, before = make_drives(tmp_path / "more", num_images=1), sorted(out.rglob("*"))
+    for data in ([more], [options[1], more]):
+        line = complaint("train", *data, *options[2:], "--out", out, "--epochs", 2)
+        assert "checkpoint.pt: train data: expected that of the training begun here" in line
+    assert sorted(out.rglob("*")) == before  # no samples of the refused data
 
 
 def test_damaged_results_are_made_anew(tmp_path: Path, options: list[object]) -> None:
@@ -174,13 +179,33 @@ def test_damaged_results_are_made_anew(tmp_path: Path, options: list[object]) ->
         lambda data: data.replace(b"0.", b"NaN."),
         lambda _: b"",
     ):
-        for name in made.keys() - {"checkpoint.pt"}:
+        for name in made.keys() - {"checkpoint.pt", "checksums.json", *TEXTS}:
             (out / name).write_bytes(damage(made[name]))
         again = foreglow_command(*command)
         assert again.exit_code == 0, again.output
-        for name in made.keys() - {"summary.json"}:  # which says when it was
+        for name in made.keys() - {"summary.json", "checksums.json"}:  # which say when it was
             assert (out / name).read_bytes() == made[name], name
         assert json.loads((out / "summary.json").read_text()).keys() == json.loads(made["summary.json"]).keys()
+
+
+def test_texts_that_a_user_has_changed_stay(tmp_path: Path, options: list[object]) -> None:
+    """They were replaced without a word, such as a threshold in config.toml, whether the training was over or not."""
+    out = tmp_path / "run"
+    command = (*options, "--out", out, "--epochs", 1)
+    out.mkdir()
+    assert foreglow_command(*command).exit_code == 0
+    commands = [command, ("train", options[1], "--from", "foreglow", "--device", "cpu", "--out", out)]
+    for name in TEXTS:
+        made = (out / name).read_bytes()
+        (out / name).write_bytes(made.replace(b"0.", b"0.0", 1))
+        assert (out / name).read_bytes() != made
+        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+        for each in commands:
+            assert f"{out / name}: expected the file as this command wrote it" in complaint(*each)
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+        (out / name).unlink()
+        assert foreglow_command(*command).exit_code == 0
+        assert (out / name).is_file()
 
 
 def test_a_refused_training_tells_of_no_damaged_curves(tmp_path: Path, options: list[object]) -> None:

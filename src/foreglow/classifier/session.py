@@ -6,6 +6,7 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -13,6 +14,7 @@ from foreglow.classifier.divisions import check_types, computed_divisors
 from foreglow.classifier.operations import check_operations
 from foreglow.files import check_file, read_bytes, read_plain_json
 from foreglow.models import BUNDLED, SHA256, model_path
+from foreglow.own_files import is_own
 from foreglow.wording import check_one_of, shortened
 
 if TYPE_CHECKING:
@@ -26,6 +28,9 @@ MAX_MODEL_BYTES = 1 << 29
 
 MAX_TENSOR_BYTES = 1 << 31
 """Memory for the tensors of all models of this process."""
+
+_DIGEST = "model_sha256"
+"""Where the summary of a training has the SHA-256 of its model."""
 
 CUDA = "CUDAExecutionProvider"
 """ONNX Runtime's name for computing on NVIDIA's GPUs."""
@@ -144,20 +149,40 @@ def check_whole(path: Path) -> None:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file is another one.
+        ValueError: If the file is another one, or the summary of the training that it lies in is damaged.
     """
     known, remedy = "", ""
     if path == model_path(Path(BUNDLED)):
         known, remedy = SHA256, "install Foreglow anew"
     elif path.name == "model.onnx" and path.is_file():
-        with contextlib.suppress(FileNotFoundError, ValueError):  # something else may be called so
-            summary = read_plain_json(path.with_name("summary.json"))
-            digest = summary.get("model_sha256") if isinstance(summary, dict) else None
-            known = digest if isinstance(digest, str) else ""
+        known = _known_digest(path)
         remedy = "repeat that training's command, or keep another model elsewhere"
     if known and hashlib.sha256(read_bytes(path, MAX_MODEL_BYTES)).hexdigest() != known:
         origin = "that ships" if known is SHA256 else "of the training here, as its summary.json has it"
         raise ValueError(f"{path}: expected the model {origin}, found it damaged or replaced; {remedy}")
+
+
+def _known_digest(model: Path) -> str:
+    """The SHA-256 of a model by the summary beside it; empty if there is none, or one of something else.
+
+    Raises:
+        ValueError: If it is that of a training, and has no such number.
+    """
+    path, summary = model.with_name("summary.json"), None
+    if not path.exists():
+        return ""
+    with contextlib.suppress(ValueError):  # something else may be called so
+        summary = read_plain_json(path)
+    digest = summary.get(_DIGEST) if isinstance(summary, dict) else None
+    if isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest):
+        return digest
+    if is_own(path.with_name("recipe.toml")):  # written together with the summary
+        found = "a damaged file" if not isinstance(summary, dict) else shortened(summary.get(_DIGEST))
+        raise ValueError(
+            f"{path}: {_DIGEST}: expected the SHA-256 of {model.name} beside it, as a training writes it, got {found}; "
+            "remove this file and repeat that training's command, or keep another model elsewhere"
+        )
+    return ""
 
 
 def unusable(path: Path, error: Exception) -> ValueError:

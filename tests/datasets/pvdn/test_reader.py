@@ -301,9 +301,13 @@ def test_skip_leaves_bad_images_out_and_names_them(split: Path) -> None:
 
 def test_an_unknown_image_id_is_an_error(split: Path) -> None:
     dataset = PVDN(split)
+    dataset.labels.images[1] = dataset.labels.images[5]
     for read in (dataset.read, dataset.annotations, dataset.boxes, dataset.sequence, dataset.categories):
         with pytest.raises(ValueError, match="expected an image of this split, got 99"):
             read(99)
+        for equal in (True, 1.0, 5.0, "5", None):  # a dict takes the first three for 1 and 5
+            with pytest.raises(ValueError, match=f"expected an image of this split, got {equal}"):
+                read(equal)  # type: ignore[arg-type]
 
 
 def test_a_folder_that_is_no_split(tmp_path: Path) -> None:

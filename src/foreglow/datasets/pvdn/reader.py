@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from foreglow.datasets.images import read_image
 from foreglow.datasets.json_files import read_json
 from foreglow.datasets.labelled import LabelledSource
@@ -193,7 +195,8 @@ class PVDN(LabelledSource):
 
     def image(self, image_id: int) -> ImageRecord:
         """The labels' record of image `image_id`; ValueError if there is no such id."""
-        if image_id not in self.labels.images:
+        is_number = isinstance(image_id, int | np.integer) and not isinstance(image_id, bool)  # True == 1 in a dict
+        if not is_number or image_id not in self.labels.images:
             raise ValueError(f"{self.root}: image_id: expected an image of this split, got {image_id}")
         return self.labels.images[image_id]
 

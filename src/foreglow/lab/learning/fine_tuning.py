@@ -30,8 +30,16 @@ from foreglow.lab.learning.recipes import RECIPES, Recipe, changed
 from foreglow.lab.learning.samples import NO_GROUP, Samples, joined
 from foreglow.lab.learning.scores import Counting, light_logits
 from foreglow.lab.learning.training_progress import RunProgress
-from foreglow.lab.learning.training_run import check_apart, finish, labelled_samples, sample_counts, write_results
+from foreglow.lab.learning.training_run import (
+    TEXTS,
+    check_apart,
+    finish,
+    labelled_samples,
+    sample_counts,
+    write_results,
+)
 from foreglow.models import OLD_SAMPLES
+from foreglow.own_folders import check_as_written
 
 if TYPE_CHECKING:
     import torch
@@ -188,13 +196,14 @@ def fine_tune(
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
         ValueError: If there is no such device, a split is broken or must not be learnt from, or the folder holds
-            another training.
+            another training, or one with a changed text.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     from foreglow.lab.learning.checkpoints import check_begun
     from foreglow.lab.learning.training import Teacher, score_samples, torch_device, train
 
     started = time.perf_counter()
+    check_as_written(folder, TEXTS)
     chosen_device = torch_device(device)
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")

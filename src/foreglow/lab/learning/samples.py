@@ -198,9 +198,14 @@ def joined(parts: Sequence[Samples]) -> Samples:
     arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
     sizes = [size for part in parts for size in set_sizes(part.sets)]
     arrays["sets"] = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
-    has_digests = all(part.digest for part in parts)
-    digest = hashlib.sha256(" ".join(part.digest for part in parts).encode()).hexdigest() if has_digests else ""
-    return Samples(**arrays, digest=digest)
+    return Samples(**arrays, digest=joined_digest([part.digest for part in parts]))
+
+
+def joined_digest(digests: Sequence[str]) -> str:
+    """`Samples.digest` of samples with these digests, joined; empty where one is unknown."""
+    if len(digests) == 1 or not all(digests):
+        return digests[0] if len(digests) == 1 else ""
+    return hashlib.sha256(" ".join(digests).encode()).hexdigest()
 
 
 def samples_by_image(

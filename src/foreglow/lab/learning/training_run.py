@@ -17,22 +17,26 @@ from scipy.special import expit
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
-from foreglow.files import check_each_once, write_json_results
+from foreglow.files import check_each_once, json_text
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
-from foreglow.lab.learning.sample_cache import cached_samples
-from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined
+from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
+from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined, joined_digest
 from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
+from foreglow.own_folders import check_as_written, replace_results
 from foreglow.provenance import provenance
-from foreglow.whole_files import together, write_atomic
+from foreglow.whole_files import write_atomic
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training import TrainingResult
 
 MODEL, WEIGHTS, SUMMARY, RECIPE, CONFIG = "model.onnx", "weights.pt", "summary.json", "recipe.toml", "config.toml"
 """Files that a training writes to its folder, besides `training.CURVES` and the checkpoint."""
+
+TEXTS = (RECIPE, CONFIG, SUMMARY)
+"""Those of them that a user may edit: a changed one stays. The others are made again of the checkpoint."""
 
 LABELS = {"positive": POSITIVE, "negative": NEGATIVE, "ignored": IGNORED}
 
@@ -70,17 +74,19 @@ def train_model(
     Raises:
         FileNotFoundError: If a split, one of its files or a teacher is missing.
         ValueError: If there is no such device, a split is broken or named twice, or must not be learnt from, a teacher
-            reads something else than the network, or the folder holds another training.
+            reads something else than the network, or the folder holds another training, or one with a changed text.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (fails early if it is missing)
     import torch  # noqa: F401
 
+    from foreglow.lab.learning.checkpoints import NAME as CHECKPOINT
     from foreglow.lab.learning.checkpoints import check_begun
     from foreglow.lab.learning.teaching import read_teachers, taught_kinds
     from foreglow.lab.learning.training import torch_device, train
 
     started = time.perf_counter()
+    check_as_written(folder, TEXTS)
     torch_device(device)  # known before samples are made
     models = read_teachers(teachers, recipe.inputs)
     if models and not recipe.kinds:
@@ -98,6 +104,10 @@ def train_model(
         "val": [open_labelled(path) for path in judging],
     }
     check_begun(folder, recipe.model_dump(mode="json"))
+    if (folder / CHECKPOINT).exists():  # else there is nothing that it could not go on from
+        configs = {name: _sample_config(recipe, config, name) for name in names}
+        digests = {name: [samples_digest(dataset, configs[name]) for dataset in splits[name]] for name in names}
+        check_begun(folder, {f"{name} data": joined_digest(found) for name, found in digests.items()})
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
     samples = {
@@ -147,13 +157,19 @@ def sample_counts(samples: Samples) -> dict[str, int]:
 
 
 def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Writes the recipe, the configuration with the new model, and `summary.json`, whose content is returned."""
+    """Writes the recipe, the configuration with the new model, and `summary.json`, whose content is returned.
+
+    Raises:
+        ValueError: If one is there that was changed since it was written.
+    """
     summary = {**provenance(), **about, "recipe": recipe.model_dump(mode="json")}
     used = config.classifier.model_copy(update={"model": folder / MODEL, "support": recipe.inputs.support})
-    with together():
-        write_atomic(folder / RECIPE, recipe_to_toml(recipe).encode())
-        write_atomic(folder / CONFIG, config_to_toml(config.model_copy(update={"classifier": used})).encode())
-        write_json_results(folder / SUMMARY, summary, indent=2)
+    texts = (
+        recipe_to_toml(recipe),
+        config_to_toml(config.model_copy(update={"classifier": used})),
+        json_text(summary, indent=2),
+    )
+    replace_results(folder, dict(zip(TEXTS, map(str.encode, texts), strict=True)))
     return summary
 
 
@@ -211,16 +227,17 @@ def labelled_samples(
     progress: RunProgress | None,
 ) -> Samples:
     """The samples of a split for a recipe, from `cache` or made and kept there; only those of train have copies."""
-    jitter = recipe.jitter if split == "train" else Jitter()
-    sample_config = SampleConfig(
-        proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light
-    )
 
     def report(num_done: int, num_images: int) -> None:
         if progress is not None:
             progress.samples(split, num_done, num_images)
 
-    return cached_samples(dataset, sample_config, cache, report)
+    return cached_samples(dataset, _sample_config(recipe, config, split), cache, report)
+
+
+def _sample_config(recipe: Recipe, config: PipelineConfig, split: SplitName) -> SampleConfig:
+    jitter = recipe.jitter if split == "train" else Jitter()
+    return SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light)
 
 
 def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:

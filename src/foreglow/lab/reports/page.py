@@ -252,19 +252,23 @@ class Page:
         Raises:
             OSError: If a file cannot be written.
         """
-        beside = {figure.file: figure.data for figure in self._figures if figure.file}
-        text = self.markdown() if path.suffix == ".md" else self.html()
-        names = [*beside, *(files or {}), path.name]
-        assert all(name.endswith(REPORT_SUFFIXES) for name in names), f"one would overwrite a user's file: {names}"
+        written = {**self.files(path.name), **(files or {})}
+        assert all(name.endswith(REPORT_SUFFIXES) for name in written), f"one would overwrite a user's file: {written}"
         with together():
             make_folder(path.parent)
             if results is not None:
                 origin = {**provenance(), "command": running_command(), **(made_with or {})}
                 record = {"made_with": origin, **to_json(results)}
                 write_json_results(path.parent / "results.json", record)
-            for name, data in {**beside, **(files or {}), path.name: text}.items():
+            for name, data in written.items():
                 write_atomic(path.parent / name, data.encode() if isinstance(data, str) else data)
         return path
+
+    def files(self, name: str) -> dict[str, bytes]:
+        """What belongs into the folder of the page by its name: its figures, and last the page, called `name`."""
+        text = self.markdown() if name.endswith(".md") else self.html()
+        beside = {figure.file: figure.data for figure in self._figures if figure.file}
+        return {**beside, name: text.encode()}
 
     def _add(self, markdown: str, its_html: str) -> None:
         self._markdown.append(markdown)

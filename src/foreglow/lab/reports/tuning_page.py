@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from foreglow.files import write_json_results
-from foreglow.lab.learning.tuning import SPACES, Finalist, Measurement, TrialRecord, Tuning, TuningSettings
+from foreglow.files import json_text
+from foreglow.lab.learning.tuning import RESULTS, SPACES, Finalist, Measurement, TrialRecord, Tuning, TuningSettings
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number
+from foreglow.own_folders import check_as_written, replace_results
 from foreglow.provenance import provenance
-from foreglow.whole_files import together, write_atomic
 
 SPLITS = ("train", "val", "test")
 
@@ -48,18 +48,24 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
 
     Raises:
         ModuleNotFoundError: If Matplotlib is not installed.
+        ValueError: If one is there that was changed since an earlier call, or is of something else.
         OSError: If a file cannot be written.
     """
     page = _page(tuning)
     folder.mkdir(parents=True, exist_ok=True)
-    with together():
-        write_atomic(folder / "best.toml", _best_toml(tuning).encode())
-        write_atomic(folder / "trials.csv", _trials(tuning).csv().encode())
-        write_json_results(folder / "summary.json", provenance() | _summary(tuning))
-        report = page.write(folder / "report.md")
+    check_as_written(folder, RESULTS)
+    replace_results(
+        folder,
+        {
+            "best.toml": _best_toml(tuning).encode(),
+            "trials.csv": _trials(tuning).csv().encode(),
+            "summary.json": json_text(provenance() | _summary(tuning)).encode(),
+            **page.files("report.md"),
+        },
+    )
     if not tuning.importances:
         (folder / "importance.png").unlink(missing_ok=True)
-    return report
+    return folder / "report.md"
 
 
 def _best_toml(tuning: Tuning) -> str:

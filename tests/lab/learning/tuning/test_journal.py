@@ -87,7 +87,7 @@ ATTRIBUTE = "expected one attribute as a search writes it, got"
 
 WRONG_FIELDS: list[tuple[int, str, str, list[Any]]] = [
     (0, "study_name", "expected text, got", [None, ...]),
-    (0, "directions", "expected 1 or 2 in a list, got", [[7], [], 1, ...]),
+    (0, "directions", r"expected \[1\], .*, got", [[7], [], 1, [2], [1, 1], [2, 1], [0], [True], ...]),
     (2, "study_id", COUNT, [0.0, None, ...]),
     (4, "datetime_start", "expected a time or null, got", [3, "yesterday", ...]),
     (4, "state", "expected the number of a state, from 0 to 4, got", [7]),

@@ -427,6 +427,21 @@ def test_command_says_what_was_done(data: Path, tmp_path: Path) -> None:
     assert f"2 trials on {NUM_ALL} images of train" in (tmp_path / "report.md").read_text()
 
 
+def test_a_study_of_another_program_in_a_database_is_told(data: Path, tmp_path: Path) -> None:
+    """Two directions were an internal error, and another one a search for the worst parameters."""
+    import optuna
+
+    searched(data, tmp_path / "out", 1, storage=f"sqlite:///{tmp_path}/ours.db")
+    (name,) = optuna.get_all_study_names(f"sqlite:///{tmp_path}/ours.db")
+    for number, directions in enumerate((["maximize"], ["minimize", "minimize"])):
+        storage = f"sqlite:///{tmp_path}/{number}.db"
+        optuna.create_study(storage=storage, study_name=name, directions=directions)  # type: ignore[arg-type]
+        with pytest.raises(
+            ValueError, match=rf"study {name}: expected one that minimises one loss, got .*{directions[-1]}"
+        ):
+            searched(data, tmp_path / "out", 1, storage=storage)
+
+
 def test_command_complains(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "expected the split train" in complaint("tune", data / "night" / "val", "--out", tmp_path)
     assert "space: expected one of paper, wide" in complaint("tune", data, "--space", "all", "--out", tmp_path)

@@ -106,7 +106,8 @@ def test_what_was_changed_in_an_export_is_neither_counted_nor_replaced(
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     for call in (lambda: export_yolo(annotated, tmp_path / "out", size_px=48), lambda: read_export(tmp_path / "out")):
         with pytest.raises(
-            ValueError, match=rf"{name}: expected the (file that was exported|checksums of an export), got"
+            ValueError,
+            match=rf"{name}: expected the (file that was exported|checksums of what Foreglow wrote here), got",
         ):
             call()
     assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before

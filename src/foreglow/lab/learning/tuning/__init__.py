@@ -2,7 +2,17 @@
 
 from foreglow.lab.learning.tuning.measurement import Measurement
 from foreglow.lab.learning.tuning.objectives import OBJECTIVES, SPACES
-from foreglow.lab.learning.tuning.search import Finalist, TrialRecord, Tuning, tune
+from foreglow.lab.learning.tuning.search import RESULTS, Finalist, TrialRecord, Tuning, tune
 from foreglow.lab.learning.tuning.study import TuningSettings
 
-__all__ = ["OBJECTIVES", "SPACES", "Finalist", "Measurement", "TrialRecord", "Tuning", "TuningSettings", "tune"]
+__all__ = [
+    "OBJECTIVES",
+    "RESULTS",
+    "SPACES",
+    "Finalist",
+    "Measurement",
+    "TrialRecord",
+    "Tuning",
+    "TuningSettings",
+    "tune",
+]

@@ -97,8 +97,8 @@ _FIELDS: Mapping[int, Mapping[str, Kind]] = {
     _BEGINS_STUDY: {
         "study_name": _TEXT,
         "directions": (
-            "1 or 2 in a list",
-            lambda value: _is_list(value, lambda each: type(each) is int and each in (1, 2)),
+            "[1], the one direction of a search, which minimises",
+            lambda value: _is_list(value, lambda each: type(each) is int) and value == [1],
         ),
     },
     1: {"study_id": _COUNT},

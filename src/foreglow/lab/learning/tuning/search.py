@@ -25,10 +25,14 @@ from foreglow.lab.learning.tuning.study import (
     prepare,
     work,
 )
+from foreglow.own_folders import check_as_written
 from foreglow.parallel import Local, Parent, Workers
 
 if TYPE_CHECKING:
     import optuna
+
+RESULTS = ("best.toml", "trials.csv", "summary.json", "report.md", "parallel.png", "importance.png")
+"""What is written of a search, at its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +122,13 @@ def tune(
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
         ValueError: If train is val or test by another name, a label or an image is broken, the storage cannot be used,
-            the study there has another seed, or no trial was finished.
+            the study there has another seed, no trial was finished, or `out` has a result that was changed since it
+            was written.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
     """
     import optuna  # noqa: F401  before anything is decoded
 
+    check_as_written(out, RESULTS)
     folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
     check_apart([folders["train"]], [folder for name, folder in folders.items() if name != "train"], [])
     splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()

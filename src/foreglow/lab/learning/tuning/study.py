@@ -109,14 +109,15 @@ def open_study(plan: StudyPlan) -> optuna.Study:
 
     Raises:
         ModuleNotFoundError: If Optuna, or a package for the database, is not installed.
-        ValueError: If the storage cannot be used.
+        ValueError: If the storage cannot be used, or its study of that name has other directions.
     """
     import optuna
     from optuna.pruners import MedianPruner
+    from optuna.study import StudyDirection
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # it warns of the lock that a killed process has left
     try:
-        return optuna.create_study(
+        study = optuna.create_study(
             storage=_storage(plan.storage),
             study_name=plan.name,
             sampler=_sampler(plan.settings.seed),
@@ -131,6 +132,13 @@ def open_study(plan: StudyPlan) -> optuna.Study:
             reason = first_line_of(error) or type(error).__name__
             raise ValueError(f"{plan.storage}: expected whole records of a search: {reason}; {WAYS_OUT}") from error
         raise _unusable(plan.storage, error) from None
+    if study.directions != [StudyDirection.MINIMIZE]:  # in a database; a journal was looked at
+        found = ", ".join(direction.name.lower() for direction in study.directions)
+        raise ValueError(
+            f"{plan.shown_storage}: study {plan.name}: expected one that minimises one loss, got directions {found}; "
+            "choose another storage"
+        )
+    return study
 
 
 def check_storage(storage: str) -> None:
