@@ -195,7 +195,7 @@ def archive(path: Path) -> None:
 
 
 def grid_headlamps(grid: str) -> str:
-    lamps = "".join(f"[{side}]\nposition_m = [2.0, 0.0, 0.7]\n" for side in ("left", "right"))
+    lamps = "".join(f"[{side}]\nposition_m = [2.0, {y_m}, 0.7]\n" for side, y_m in (("left", 0.6), ("right", -0.6)))
     return f"""name = "x"\n{lamps}[grid]\nnum_columns = 28\npitch_deg = 1.2\nrow_elevations_deg = [0.0, 1.0]
 row_peaks_cd = [1000.0, 1000.0]\nside_sigma_deg = 10.0\neverywhere_cd = 0.0\nhalf_width_deg = 1.0
 half_height_deg = 1.0\nedge_exponent = 4.0\nreach_width_deg = 2.0\nreach_height_deg = 2.0\n{grid}"""

@@ -266,7 +266,8 @@ def size_from(text: str) -> tuple[int, int]:
     from foreglow.datasets.images import MAX_SIDE_PX  # only here: the help comes without NumPy
 
     width, _, height = text.partition("x")
-    if not all(side.isdecimal() and len(side) < 6 and 1 <= int(side) <= MAX_SIDE_PX for side in (width, height)):
+    are_numbers = text.isascii() and all(side.isdecimal() and len(side) < 6 for side in (width, height))
+    if not (are_numbers and all(1 <= int(side) <= MAX_SIDE_PX for side in (width, height))):
         expected = f"WIDTHxHEIGHT such as 1280x960, of at most {MAX_SIDE_PX} px a side"
         raise ValueError(f"size: expected {expected}, got {text[:40]!r}")
     return int(width), int(height)

@@ -17,6 +17,8 @@ import foreglow.beam
 from benchmarks import guard_sweep
 from foreglow.beam import guard as guard_module
 from foreglow.beam.guard import Guard, dimmed, united
+from foreglow.geometry import Floats, Pose, rotation
+from foreglow.photometry import Headlamp, Headlamps, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, TrackState
 from tests.beam.guards import AHEAD, LAMPS, NOBODY, NUM_LEDS, assert_low, next_check, running, towards_cd, with_arrays
 from tests.beam.made_up import CAMERA, FRAME_NS, FakeLamps, box_around, frame_at, full, guard_config, tracks_of
@@ -193,6 +195,15 @@ def test_boxes_beyond_the_image(step_px: list[float]) -> None:
 def test_lamps_that_shine_anywhere_are_refused() -> None:
     with pytest.raises(ValueError, match="expected LEDs that shine within 45 degrees to the sides and -10 to 15"):
         Guard(guard_config(), FakeLamps(num_columns=60))
+
+
+@pytest.mark.parametrize("turned", [rotation(np.pi / 2), rotation(np.pi), rotation(0, -0.8), rotation(0, 1.5)])
+def test_lamps_that_shine_where_no_vehicle_is_looked_for_are_refused(turned: Floats) -> None:
+    """Such LEDs would never be dimmed, since they are dark at every vehicle and at the edges as well."""
+    shipped = read_headlamps()
+    left = Headlamp(Pose(shipped.left.vehicle_from_lamp.position_m, turned), shipped.left.matrix)
+    with pytest.raises(ValueError, match=r"^lamps: LED 0 of the left one: expected at least 1 cd within 45 degrees"):
+        Guard(guard_config(), Headlamps("turned", left, shipped.right))
 
 
 # The two pure parts

@@ -63,6 +63,7 @@ def data(scene_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--quality", "best"), "quality: expected one of fast, training, fine, got 'best'"),
         (("--size", "9x9"), "width_px"),
         (("--size", "large"), "size: expected WIDTHxHEIGHT"),
+        (("--size", "１２８０x９６０"), "size: expected WIDTHxHEIGHT"),
         (("--size", "0x0"), "size: expected WIDTHxHEIGHT such as 1280x960, of at most 8192 px a side, got '0x0'"),
         (("--size", "99999x64"), "of at most 8192 px a side"),
         (("--pairs", "5"), "--pairs: expected below two frames of --fps, 0.111111 s, got 5"),

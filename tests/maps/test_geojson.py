@@ -88,6 +88,11 @@ def test_other_outermost_objects(tmp_path: Path, document: Any) -> None:
         ([line([*PLACES, [9.002, 48.0006, 0]])], "feature 0: coordinates: .*, got 402 m and 0 m of points 2 and 3$"),
         ([line([[9.0, 48.0], [9.1, 10**400]])], r"feature 0: coordinates: expected a list of \[longitude"),
         ([line([[9.0, 48.0], [9.0, 48.0]])], "feature 0: coordinates: expected points that differ"),
+        (
+            [line([[9.0, 48.0], [9.1, 48.0]]), line([[9.0, 48.0], [9.0, 49.2]])],
+            "feature 1: length: expected at most 100000 m, got 133",
+        ),
+        ([line([[9.0, 48.0], [9.0, 48.5], [9.0, 48.0]])], "feature 0: length: expected at most 100000 m, got 111"),
         ([7], "feature 0: expected a GeoJSON object, got int"),
         ([{"type": "MultiLineString", "coordinates": 3}], "feature 0: coordinates: expected a list"),
         (

@@ -203,11 +203,11 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
         ("", GRID.replace("[20000.0, 10000.0]", "[20.0, 10.0]"), "grid: all LEDs together: expected at least 1000 cd"),
         ("", GRID.replace("half_width_deg = 1.8", "half_width_deg = 1e-308"), "grid.half_width_deg: .*equal to 0.05"),
         ("", GRID.replace("edge_exponent = 2.5", ""), "grid.edge_exponent: missing"),
-        ("", GRID.replace("pitch_deg = 3", "pitch_deg = 80"), "grid: num_columns: expected columns within 90 degrees"),
+        ("", GRID.replace("pitch_deg = 3", "pitch_deg = 80"), "grid: num_columns: expected columns within 45 degrees"),
         (
-            "turn_deg = -89.0",
-            GRID,
-            "grid: num_columns: expected columns within 90 degrees of the axis, .* got one at -9",
+            "turn_deg = -4.5",
+            GRID.replace("pitch_deg = 3", "pitch_deg = 28"),
+            "grid: num_columns: expected columns within 45 degrees of the axis, .* got one at -46",
         ),
         ("", GRID.replace("5.0", "1.0"), "grid.reach_width_deg: expected at least half_width_deg, 1.8, got 1"),
     ],
@@ -219,6 +219,88 @@ def test_faults_are_named(tmp_path: Path, left: str, grid: str, complaint: str) 
     led_file(tmp_path, "half.ies", 0.0, 0.0, 500.0)
     (tmp_path / "broken.ies").write_text("nothing")
     path = grid_file(tmp_path, left, "led_files = [['one.ies']]" if "led_files" in left and not grid else "", grid)
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_headlamps(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def bodies(old: str, new: str) -> str:
+    body = POSITIONS.format(left="", right="") + GRID
+    assert old in body
+    return body.replace(old, new)
+
+
+MISPLACED = {
+    "sides swapped": (
+        " 0.6, 0.7]",
+        " -0.6, 0.7]",
+        r"left.position_m.1: expected at least 0.1 m, on the left .* got -0.6",
+    ),
+    "both on the left": (
+        "-0.6, 0.7]",
+        "0.6, 0.7]",
+        r"right.position_m.1: expected at most -0.1 m, on the right .* 0.6",
+    ),
+    "both in the middle": (" 0.6, 0.7]", " 0.0, 0.7]", r"left.position_m.1: expected at least 0.1 m, .* got 0$"),
+    "far aside": (" 0.6, 0.7]", " 2.1, 0.7]", r"left.position_m.1: .* less than or equal to 2, got 2.1"),
+    "behind the rear axle": ("[3.5,", "[-3.5,", r"left.position_m.0: .* greater than or equal to 0.5, got -3.5"),
+    "far ahead": ("[3.5,", "[13.0,", r"left.position_m.0: .* less than or equal to 12, got 13"),
+    "below the road": ("0.7]", "-5.0]", r"left.position_m.2: .* greater than or equal to 0.2, got -5"),
+    "on a mast": ("0.7]", "3.1]", r"left.position_m.2: .* less than or equal to 3, got 3.1"),
+    "aimed aside": ("[right]", "yaw_deg = 90.0\n[right]", r"left.yaw_deg: .* less than or equal to 5, got 90"),
+    "aimed to the right": ("[right]", "yaw_deg = -30.0\n[right]", r"left.yaw_deg: .* equal to -5, got -30"),
+    "aimed up": ("[grid]", "pitch_deg = 20.0\n[grid]", r"right.pitch_deg: .* less than or equal to 2, got 20"),
+    "aimed down": ("[grid]", "pitch_deg = -90.0\n[grid]", r"right.pitch_deg: .* equal to -2, got -90"),
+    "turned": ("[grid]", "turn_deg = 45.0\n[grid]", r"right.turn_deg: .* less than or equal to 5, got 45"),
+    "high rows": ("[0.0, 2.0]", "[60.0, 65.0]", r"grid.row_elevations_deg.0: .* less than or equal to 10, got 60"),
+    "low rows": ("[0.0, 2.0]", "[-30.0, -25.0]", r"grid.row_elevations_deg.0: .* equal to -5, got -30"),
+    "rows above all vehicles": (
+        "[0.0, 2.0]",
+        "[5.0, 7.0]",
+        r"grid, as left aims it: all LEDs together: expected at least 0.25 of their peak, .* within 5 degrees of "
+        r"straight ahead at elevation 0, got 0 cd: the peak is at azimuth -?\d\.\d, elevation 5\.\d$",
+    ),
+    "columns beyond the guard's directions": (
+        GRID,
+        GRID.replace("pitch_deg = 3", "pitch_deg = 28").replace("everywhere_cd = 0.0", "everywhere_cd = 100.0"),
+        r"grid, as left aims it: LED 0: expected light within 45 degrees to the sides and -10 to 15 degrees high, got "
+        r"some at azimuth -4\d\.\d, elevation ",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", MISPLACED)
+def test_lamps_are_where_headlamps_are_and_shine_ahead(tmp_path: Path, fault: str) -> None:
+    """The guard took vehicles to be in the dark, and dimmed nothing."""
+    old, new, complaint = MISPLACED[fault]
+    path = written(tmp_path, bodies(old, new))
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_headlamps(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    ("right_deg", "up_deg", "complaint"),
+    [
+        (0.0, 60.0, "LED 0: expected light within 45 degrees .* got some at azimuth -?0.\\d, elevation 6[01].\\d"),
+        (90.0, 0.0, "LED 0: expected light within 45 degrees .* got some at azimuth -9[01].\\d, elevation -?0.\\d"),
+        (20.0, 0.0, r"all LEDs together: .* got 0 cd: the peak is at azimuth -20.0, elevation 0.0"),
+        (0.0, -4.0, r"all LEDs together: .* got 0 cd: the peak is at azimuth 0.0, elevation -4.0"),
+    ],
+)
+def test_measured_leds_shine_ahead(tmp_path: Path, right_deg: float, up_deg: float, complaint: str) -> None:
+    files = f"led_files = [['{led_file(tmp_path, 'led.ies', right_deg, up_deg, 5000.0)}']]"
+    path = written(tmp_path, POSITIONS.format(left=files, right=files))
+    with pytest.raises(ValueError, match=f"left.led_files: {complaint}") as caught:
+        read_headlamps(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(("right_deg", "up_deg"), [(90.0, 0.0), (-30.0, -1.0), (0.0, 8.0), (0.0, -40.0)])
+def test_a_low_beam_shines_on_the_road(tmp_path: Path, right_deg: float, up_deg: float) -> None:
+    base = led_file(tmp_path, "base.ies", right_deg, up_deg, 5000.0)
+    path = grid_file(tmp_path, f'base = "{base}"')
+    complaint = rf"left.base: expected a low beam .* got azimuth {0 - right_deg:.1f}, elevation {up_deg:.1f}$"
     with pytest.raises(ValueError, match=complaint) as caught:
         read_headlamps(path)
     assert str(caught.value).startswith(f"{path}: ")

@@ -45,7 +45,7 @@ class Guard:
         """A guard with the limits of `config` for the given lamps.
 
         Raises:
-            ValueError: If an LED shines beyond the directions of `led_bounds`.
+            ValueError: If an LED shines beyond the directions of `led_bounds`, or is dark in all of them.
         """
         self._config = config
         self._bounds = led_bounds(lamps)

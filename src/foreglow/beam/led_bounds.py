@@ -33,7 +33,7 @@ ELEVATIONS_DEG = np.arange(-10.0, 15.0 + STEP_DEG / 2, STEP_DEG)
 """The grid. LEDs must not shine beyond it; the matrix light of headlamps is narrower."""
 
 DARK_CD = 1.0
-"""Up to this intensity, an LED counts as dark at the edges of the grid."""
+"""Up to this intensity, an LED counts as dark: at the edges of the grid all do, within it none."""
 
 MAX_NUM_CELLS = 8
 """Greatest number of cells along each axis in (3)."""
@@ -85,7 +85,7 @@ class LedBounds:
         """Makes the tables.
 
         Raises:
-            ValueError: If an LED shines beyond the grid.
+            ValueError: If an LED shines beyond the grid, or is dark all over it: it would never be dimmed.
         """
         corners = np.stack([_row(lamps, elevation_deg) for elevation_deg in ELEVATIONS_DEG])  # (E, A, 2, L)
         edges = (corners[0], corners[-1], corners[:, 0], corners[:, -1])
@@ -93,6 +93,14 @@ class LedBounds:
             raise ValueError(
                 f"lamps: expected LEDs that shine within {AZIMUTHS_DEG[-1]:.0f} degrees to the sides and "
                 f"{ELEVATIONS_DEG[0]:.0f} to {ELEVATIONS_DEG[-1]:.0f} degrees in height"
+            )
+        dark = np.argwhere(corners.max(axis=(0, 1)) < DARK_CD)
+        if len(dark):
+            lamp, led = dark[0]
+            raise ValueError(
+                f"lamps: LED {led} of the {('left', 'right')[lamp]} one: expected at least {DARK_CD:g} cd within "
+                f"{AZIMUTHS_DEG[-1]:.0f} degrees to the sides and {ELEVATIONS_DEG[0]:.0f} to {ELEVATIONS_DEG[-1]:.0f} "
+                "degrees in height, found less"
             )
         self.num_leds = corners.shape[-1]
         tables = [_greatest_of_four(corners)]

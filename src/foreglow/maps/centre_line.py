@@ -195,11 +195,20 @@ class PointCount:
             ValueError: If it is longer than `MAX_LINE_M`, or the map has more than `MAX_POINTS`; the message begins
                 with `origin`.
         """
-        if not length_m <= MAX_LINE_M:
-            raise ValueError(f"{origin}: length: expected at most {MAX_LINE_M:g} m, got {length_m:g}")
+        check_length(length_m, origin)
         self._num += max(num_given, 2 + math.ceil(length_m / STEP_M))
         if self._num > MAX_POINTS:
             raise ValueError(f"{origin}: expected a map of at most {MAX_POINTS} points, one a metre, got more")
+
+
+def check_length(length_m: float, origin: str) -> None:
+    """Passes the length of a road.
+
+    Raises:
+        ValueError: If it is longer than `MAX_LINE_M`, or NaN; the message begins with `origin`.
+    """
+    if not length_m <= MAX_LINE_M:
+        raise ValueError(f"{origin}: length: expected at most {MAX_LINE_M:g} m, got {length_m:g}")
 
 
 def check_width(width_m: float, origin: str) -> None:

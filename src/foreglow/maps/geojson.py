@@ -21,7 +21,7 @@ import numpy as np
 
 from foreglow.files import number_in, read_plain_json
 from foreglow.geometry import Floats, checked_number
-from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_points, check_steps, without_repeats
+from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_length, check_points, check_steps, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.street import LANE_WIDTH_M
@@ -40,8 +40,8 @@ def read_geojson(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not GeoJSON, has no line, a coordinate is not a number or out of range, only some points
-            have heights, a height is far from the one before, or a width is not that of a road; the message names path
-            and feature.
+            have heights, a height is far from the one before, a line is too long, or a width is not that of a road; the
+            message names path and feature.
     """
     document = read_plain_json(path)
     _check_crs(document, path)
@@ -62,7 +62,9 @@ def read_geojson(path: Path) -> RoadMap:
             raise ValueError(f"{origin}: coordinates: expected points that differ")
         check_points(given, f"{origin}: coordinates")
         check_steps(given, f"{origin}: coordinates")
-        lines.append(CentreLine(points, width_m / 2))
+        line = CentreLine(points, width_m / 2)
+        check_length(line.length_m, origin)
+        lines.append(line)
     return RoadMap(lines, earth, has_heights=heights == {3})
 
 

@@ -14,11 +14,22 @@ from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.geometry import Floats, Pose, rotation
+from foreglow.photometry.aim import (
+    MIN_ASIDE_M,
+    Aside,
+    Forward,
+    Height,
+    Pitch,
+    Turn,
+    Yaw,
+    check_base_aim,
+    check_led_aim,
+)
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, squares_m2
 from foreglow.photometry.lamps import low_beam
 from foreglow.photometry.ldt import read_ldt
-from foreglow.photometry.matrix import MAX_LED_CELLS, Angle, LedGrid, MatrixLamp, grid_lamp, measured_lamp
+from foreglow.photometry.matrix import MAX_LED_CELLS, LedGrid, MatrixLamp, grid_lamp, measured_lamp
 from foreglow.wording import check_one_of
 
 MIN_BEAM_CD = 1000.0
@@ -104,8 +115,6 @@ READERS = {".ies": read_ies, ".ldt": read_ldt}
 
 FileName: TypeAlias = Annotated[Path, Field(strict=False)]
 """Name of an IES or EULUMDAT file, relative to the TOML file's folder."""
-
-Metres: TypeAlias = Annotated[float, Field(strict=True, ge=-20, le=20)]
 
 Side: TypeAlias = Literal["left", "right"]
 
@@ -214,15 +223,15 @@ class LampDescription(FrozenModel):
         turn_deg: Angle by which the grid's columns are turned to the left of the lamp's axis.
     """
 
-    position_m: Annotated[tuple[Metres, Metres, Metres], Field(strict=False)]
-    yaw_deg: Angle = 0.0
-    pitch_deg: Angle = 0.0
+    position_m: Annotated[tuple[Forward, Aside, Height], Field(strict=False)]
+    yaw_deg: Yaw = 0.0
+    pitch_deg: Pitch = 0.0
     base: FileName | None = None
     led_files: Annotated[
         tuple[Annotated[tuple[FileName, ...], Field(strict=False, min_length=1)], ...] | None,
         Field(strict=False, min_length=1),
     ] = None
-    turn_deg: Angle = 0.0
+    turn_deg: Turn = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> LampDescription:
@@ -247,6 +256,17 @@ class HeadlampsDescription(FrozenModel):
     left: LampDescription
     right: LampDescription
     grid: LedGrid | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> HeadlampsDescription:
+        for side, lamp, sign in (("left", self.left, 1), ("right", self.right, -1)):
+            y_m = lamp.position_m[1]
+            if sign * y_m < MIN_ASIDE_M:
+                limit = f"at least {MIN_ASIDE_M:g}" if sign > 0 else f"at most {-MIN_ASIDE_M:g}"
+                raise ValueError(
+                    f"{side}.position_m.1: expected {limit} m, on the {side} of the car (y is to the left), got {y_m:g}"
+                )
+        return self
 
 
 def read_headlamps(path: Path | str | None = None) -> Headlamps:
@@ -291,19 +311,24 @@ def _shipped() -> Headlamps:
 
 def _read(path: Path) -> Headlamps:
     given = validated(HeadlampsDescription, read_toml(path), str(path))
-    left, right = (
-        Headlamp(
-            Pose(
-                np.array(lamp.position_m), rotation(float(np.radians(lamp.yaw_deg)), float(np.radians(lamp.pitch_deg)))
-            ),
-            _matrix(path, side, lamp, given.grid),
-        )
-        for side, lamp in (("left", given.left), ("right", given.right))
-    )
+    left, right = _lamp(path, "left", given.left, given.grid), _lamp(path, "right", given.right, given.grid)
     try:
         return Headlamps(given.name, left, right)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def _lamp(path: Path, side: Side, lamp: LampDescription, grid: LedGrid | None) -> Headlamp:
+    aim = rotation(float(np.radians(lamp.yaw_deg)), float(np.radians(lamp.pitch_deg)))
+    made = Headlamp(Pose(np.array(lamp.position_m), aim), _matrix(path, side, lamp, grid))
+    name = f"{path}: {side}.base"
+    try:
+        check_base_aim(made.matrix.base, made.vehicle_from_lamp)
+        name = f"{path}: grid, as {side} aims it" if lamp.led_files is None else f"{path}: {side}.led_files"
+        check_led_aim(made.matrix, made.vehicle_from_lamp)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+    return made
 
 
 def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) -> MatrixLamp:

@@ -22,8 +22,8 @@ NUM_LEDS = 84
 STEPS_ACROSS = 3.0
 """Least number of table steps over half the width or height of a generated LED's light."""
 
-MAX_AZIMUTH_DEG = 90.0
-"""Furthest that a lamp's LED is aimed to a side; beyond half a turn no direction would ever be lit by it."""
+MAX_AZIMUTH_DEG = 45.0
+"""Furthest that a lamp's LED shines to a side; the matrix light of headlamps is narrower."""
 
 FINEST_STEP_DEG = 0.05
 """Smallest table step; finer structure of LEDs from files is lost."""
@@ -31,7 +31,7 @@ FINEST_STEP_DEG = 0.05
 MAX_LED_CELLS = 64_000_000
 """Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
 
-Angle: TypeAlias = Annotated[float, Field(strict=True, ge=-90, le=90)]
+RowElevation: TypeAlias = Annotated[float, Field(strict=True, ge=-5, le=10)]
 Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
 HalfWidth: TypeAlias = Annotated[float, Field(strict=True, ge=FINEST_STEP_DEG, le=90)]
 Candela: TypeAlias = Annotated[float, Field(strict=True, ge=0, le=1e6)]
@@ -102,7 +102,7 @@ class LedGrid(FrozenModel):
 
     num_columns: Annotated[int, Field(ge=1, le=512)]
     pitch_deg: Width
-    row_elevations_deg: Annotated[tuple[Angle, ...], Field(strict=False, min_length=1, max_length=64)]
+    row_elevations_deg: Annotated[tuple[RowElevation, ...], Field(strict=False, min_length=1, max_length=64)]
     row_peaks_cd: Annotated[tuple[Candela, ...], Field(strict=False)]
     side_sigma_deg: Annotated[float, Field(strict=True, ge=0.001, le=90)]
     everywhere_cd: Candela

@@ -251,6 +251,54 @@ def test_a_recording_behind_another(whole: Path) -> None:
     assert line.endswith("is not read: join recordings with their own tools, not with `cat`")
 
 
+@pytest.mark.parametrize("tail", [bytes(3), bytes(8), bytes(4096), b"12345678", bytes(range(1, 256)) * 20])
+def test_bytes_behind_a_recording(whole: Path, tail: bytes) -> None:
+    """Nothing said so, or only that the end was missing; a bag of ROS 1 with zeros was not read at all."""
+    longer = whole.with_name(f"longer{whole.suffix}")
+    longer.write_bytes(whole.read_bytes() + tail)
+    position = whole.stat().st_size
+    with pytest.raises(
+        ValueError, match=rf"^{longer}: byte {position}: expected the end of the recording, what follows"
+    ):
+        list(Recording(longer))
+    source = Recording(longer, on_error="skip")
+    assert source.num_frames == Recording(whole).num_frames
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES)
+    (line,) = source.skipped
+    assert f"what follows ({len(tail)} bytes) is not read" in line
+    assert source.lost_parts == [line]
+
+
+def test_a_sqlite_file_whose_header_may_be_out_of_date(tmp_path: Path) -> None:
+    """Programs of before 2010 do not keep the number of pages; the two counters of changes tell."""
+    path = _sqlite(tmp_path)
+    data = bytearray(path.read_bytes())
+    data[28:32] = struct.pack(">I", 1)
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"expected a ROS 2 bag in SQLite"):
+        list(Recording(path))
+    data[92:96] = bytes(4)
+    path.write_bytes(data)
+    np.testing.assert_array_equal([frame.image for frame in Recording(path)], IMAGES)
+
+
+def test_a_damaged_index_of_a_bag_names_one_position(tmp_path: Path) -> None:
+    data = bytearray(_bag(tmp_path).read_bytes())
+    position = data.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(data[position : position + 8], "little")
+    path = tmp_path / "damaged.bag"
+    path.write_bytes(data[:index] + bytes(len(data) - index))
+    with pytest.raises(ValueError, match=rf"^{path}: truncated bag, its index is missing or cut; "):
+        Recording(path)
+    source = Recording(path, on_error="skip")
+    np.testing.assert_array_equal([frame.image for frame in source], IMAGES)
+    assert [line.count(": byte ") for line in source.skipped] == [0, 1]
+    path.write_bytes(data[:13] + bytes(len(data) - 13))
+    with pytest.raises(ValueError, match=rf"^{path}: byte 13: header: expected a field op") as caught:
+        Recording(path, on_error="skip")
+    assert str(caught.value).count("byte 13") == 1
+
+
 def test_what_a_killed_rosbag_left(tmp_path: Path) -> None:
     """Its header has no position of an index yet."""
     data = bytearray(_bag(tmp_path).read_bytes())

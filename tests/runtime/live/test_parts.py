@@ -334,13 +334,16 @@ def test_service_notifier(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert told == ["READY=1", "WATCHDOG=1", "WATCHDOG=1", "WATCHDOG_USEC=120000000", "STOPPING=1"]
 
 
-@pytest.mark.parametrize("pid", ["1", "no number"])
-def test_a_watchdog_for_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pid: str) -> None:
+@pytest.mark.parametrize(("interval_us", "pid"), [("1", "1"), ("1", "no number"), ("１", "")])
+def test_a_watchdog_for_another_process_or_without_a_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interval_us: str, pid: str
+) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as service:
         service.bind(str(tmp_path / "notify"))
         service.settimeout(10)
-        for name, value in (("NOTIFY_SOCKET", str(tmp_path / "notify")), ("WATCHDOG_USEC", "1"), ("WATCHDOG_PID", pid)):
+        for name, value in (("NOTIFY_SOCKET", str(tmp_path / "notify")), ("WATCHDOG_PID", pid or str(os.getpid()))):
             monkeypatch.setenv(name, value)
+        monkeypatch.setenv("WATCHDOG_USEC", interval_us)
         notifier = ServiceNotifier()
         for _ in range(3):
             notifier.beat()

@@ -169,7 +169,7 @@ def test_camera(capture: list[FakeCapture]) -> None:
 def test_camera_that_is_not_there() -> None:
     with pytest.raises(OSError, match="camera:9: cannot be opened"):
         next(iter(open_live("camera:9", CameraOptions())))
-    for device in ("x", "12345", "", "video0"):
+    for device in ("x", "12345", "", "video0", "１"):
         with pytest.raises(ValueError, match=f"camera:{device}: expected a number, or a path"):
             open_live(f"camera:{device}", CameraOptions())
     with pytest.raises(ValueError, match="gstreamer: expected a pipeline that ends in an appsink, got none"):

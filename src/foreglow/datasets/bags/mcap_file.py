@@ -46,8 +46,9 @@ class McapFile:
                 raise ValueError(f"{path}: expected an MCAP file, it does not start like one")
             self._size = file.seek(0, 2)
             file.seek(max(len(MAGIC), self._size - len(MAGIC)))
-            is_whole = file.read() == MAGIC
-        self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated recording, its end is missing"
+            end = self._size if file.read() == MAGIC else self._walked_end(file)
+        self.truncation = "" if end or is_partial(path) else f"{path}: truncated recording, its end is missing"
+        self._end = end or self._size
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """As in `Container`; a topic that was defined in a damaged chunk is known from the end of the file.
@@ -112,6 +113,17 @@ class McapFile:
         if end < self._size:
             refuse(continuation(self._path, end, self._size))
 
+    def _walked_end(self, file: BinaryIO) -> int:
+        """Where the recording ends if something lies behind it, by its records from its start on; 0 if nowhere."""
+        file.seek(len(MAGIC))
+        with contextlib.suppress(ValueError):
+            for position, kind, length in self._heads(file, _raise):
+                if kind == _FOOTER:
+                    end = position + _HEAD_BYTES + length
+                    file.seek(end)
+                    return end + len(MAGIC) if file.read(len(MAGIC)) == MAGIC else 0
+        return 0
+
     def _read_summary(self, channels: _Channels) -> dict[int, int]:
         """Adds the definitions at the end of the file to `channels`, and returns the numbers of messages by channel.
 
@@ -119,9 +131,9 @@ class McapFile:
         """
         counts = dict[int, int]()
         with contextlib.suppress(ValueError), self._path.open("rb") as file:
-            file.seek(max(0, self._size - len(MAGIC) - _FOOTER_BYTES))
+            file.seek(max(0, self._end - len(MAGIC) - _FOOTER_BYTES))
             start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
-            if not 0 < start < self._size:
+            if not 0 < start < self._end:
                 return counts
             file.seek(start)
             for _, kind, length in self._heads(file, _raise):

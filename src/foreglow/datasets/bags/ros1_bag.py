@@ -5,6 +5,8 @@ Source: wiki.ros.org/Bags/Format/2.0.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import struct
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -45,12 +47,15 @@ class Ros1Bag:
             if file.read(len(MAGIC)) != MAGIC:
                 raise ValueError(f"{path}: expected a ROS 1 bag of version 2.0, it does not start like one")
             self._size = file.seek(0, 2)
+            self._end = self._size
             file.seek(len(MAGIC))
             try:
-                is_whole = self._is_whole(file)
-            except ValueError as error:
-                raise ValueError(f"{path}: byte {len(MAGIC)}: {error}") from None
-        self.truncation = "" if is_whole or is_partial(path) else f"{path}: truncated bag, its index is missing or cut"
+                first = next((header for _, header, _ in self._heads(file)), {})
+            except _HeaderError as error:
+                raise ValueError(f"{path}: {error}") from None
+            end = self._index_end(file, first)
+        self.truncation = "" if end or is_partial(path) else f"{path}: truncated bag, its index is missing or cut"
+        self._end = end or self._size
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """As in `Container`."""
@@ -74,34 +79,35 @@ class Ros1Bag:
             except _HeaderError as error:
                 refuse(f"{self._path}: {error}")
                 return
-        if end < self._size and not self.truncation and not is_partial(self._path):
-            with self._path.open("rb") as file:
-                file.seek(end)
-                is_other = file.read(len(MAGIC)) == MAGIC
-            malformed = f"{self._path}: byte {end}: expected a record, it is malformed"
-            refuse(continuation(self._path, end, self._size) if is_other else malformed)
+        if end < self._end and not self.truncation and not is_partial(self._path):
+            refuse(f"{self._path}: byte {end}: expected a record, it is malformed")
+        if self._end < self._size:
+            refuse(continuation(self._path, self._end, self._size))
 
     def count(self, name: str) -> int | None:  # noqa: ARG002
         """As in `Container`: unknown."""
         return None
 
-    def _is_whole(self, file: BinaryIO) -> bool:
-        """Whether the index that the bag's header announces is there: a record for each connection and each chunk."""
-        header = next((header for _, header, _ in self._heads(file)), {})
+    def _index_end(self, file: BinaryIO, header: dict[str, bytes]) -> int:
+        """End of the index that the bag's `header` announces, a record for each connection and each chunk; 0 if cut."""
         position, *counts = (
             int.from_bytes(header.get(name, b""), "little") for name in ("index_pos", "conn_count", "chunk_count")
         )
         if not 0 < position <= self._size:
-            return False
+            return 0
+        num_left, end = sum(counts), position
         file.seek(position)
-        return sum(1 for _ in self._heads(file)) == sum(counts)
+        with contextlib.suppress(_HeaderError):
+            for _, _, length in itertools.islice(self._heads(file), num_left):
+                num_left, end = num_left - 1, file.tell() + length
+        return 0 if num_left else end
 
     def _heads(self, file: BinaryIO) -> Iterator[tuple[int, dict[str, bytes], int]]:
         """Position, header and data length of each complete record, with `file` at its data; ends at a cut one."""
         position = file.tell()
-        while position + 8 <= self._size:
+        while position + 8 <= self._end:
             length = int.from_bytes(file.read(4), "little")
-            if position + 8 + length > self._size:
+            if position + 8 + length > self._end:
                 return
             try:
                 header = _fields(memoryview(file.read(min(length, MAX_HEADER_BYTES + 1))))
@@ -109,7 +115,7 @@ class Ros1Bag:
                 raise _HeaderError(f"byte {position}: {error}") from None
             data_length = int.from_bytes(file.read(4), "little")
             end = position + 8 + length + data_length
-            if end > self._size:
+            if end > self._end:
                 return
             yield position, header, data_length
             file.seek(position := end)

@@ -57,14 +57,11 @@ class SqliteBag:
             ValueError: If it is not a bag, or is cut within a page, which SQLite would fill with zeros.
         """
         self._path = path
-        size, expected, page = _sizes(path)
+        size, expected, page, is_sure = _sizes(path)
         if size < expected and size % page:
             raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
         self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
-        with path.open("rb") as file:
-            file.seek(expected)
-            is_continued = expected > 0 and file.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
-        self._continuation = continuation(path, expected, size) if is_continued else ""
+        self._continuation = continuation(path, expected, size) if is_sure and expected < size else ""
         try:
             with closing(self._connect(MAX_TOPIC_BYTES)) as connection:
                 _check_tables(connection)
@@ -150,16 +147,22 @@ class Ros2Bag:
         return None if None in counts else sum(count or 0 for count in counts)
 
 
-def _sizes(path: Path) -> tuple[int, int, int]:
-    """Size of the file, its size by its header, and size of a page, bytes. Source: sqlite.org/fileformat2, 1.3."""
+def _sizes(path: Path) -> tuple[int, int, int, bool]:
+    """Size of the file, its size by its header, size of a page, bytes; and whether the header's size is up to date.
+
+    It is if the two counters of changes agree; programs of before 2010 leave the second as it is.
+
+    Source: sqlite.org/fileformat2, 1.3.
+    """
     with path.open("rb") as file:
-        header = file.read(32)
+        header = file.read(100)
         size = file.seek(0, 2)
-    if not header.startswith(SQLITE_MAGIC) or len(header) < 32:
+    if not header.startswith(SQLITE_MAGIC) or len(header) < 100:
         raise ValueError(f"{path}: expected a ROS 2 bag in SQLite, it does not start like one")
     page = int.from_bytes(header[16:18], "big")
     page = 65536 if page == 1 else page
-    return size, page * int.from_bytes(header[28:32], "big"), page
+    num_pages = int.from_bytes(header[28:32], "big")
+    return size, page * num_pages, page, num_pages > 0 and header[24:28] == header[92:96]
 
 
 def _storage(path: Path) -> Container:

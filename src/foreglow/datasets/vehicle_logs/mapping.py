@@ -170,7 +170,7 @@ class CanMapping(FrozenModel):
     speed: NumberSignal | None = None
     yaw_rate: NumberSignal | None = None
     production: NumberSignal | None = None
-    bus: str | None = None
+    bus: Annotated[str, Field(min_length=1)] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> CanMapping:

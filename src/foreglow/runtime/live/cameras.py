@@ -139,7 +139,7 @@ def open_v4l2(device: str, options: CameraOptions) -> CaptureCamera:
     Raises:
         ValueError: If it is neither.
     """
-    is_number = device.isdecimal() and len(device) <= MAX_DIGITS
+    is_number = device.isascii() and device.isdecimal() and len(device) <= MAX_DIGITS
     if not (is_number or device.startswith("/")):
         raise ValueError(f"camera:{device}: expected a number, or a path such as /dev/video0, got {device!r}")
     number_or_path = int(device) if is_number else device

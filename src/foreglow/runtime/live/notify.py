@@ -22,7 +22,7 @@ class ServiceNotifier:
         self._address = os.environ.get("NOTIFY_SOCKET", "")
         interval_us = os.environ.get("WATCHDOG_USEC", "")
         is_ours = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-        is_number = interval_us.isdecimal() and len(interval_us) < 20
+        is_number = interval_us.isascii() and interval_us.isdecimal() and len(interval_us) < 20
         self._interval_s = int(interval_us) / 2e6 if is_number and is_ours else 0.0
         self._beat_s: float | None = None
 

@@ -132,7 +132,7 @@ _MAY_HAVE: Mapping[str, Kind] = {
     "system_attrs": _ATTRIBUTES,
     "intermediate_values": (
         "a table of finite numbers by step",
-        lambda value: _is_table(value, _is_number) and all(name.isdecimal() for name in value),
+        lambda value: _is_table(value, _is_number) and all(name.isascii() and name.isdecimal() for name in value),
     ),
 }
 """What a record that begins a trial may have, too."""

@@ -57,7 +57,7 @@ def prepare() -> str:
             os.environ[LLVM_VARIABLE] = str(_packaged_llvm() or _system_llvm())
     importlib.import_module("mitsuba").set_variant(variant)
     threads = os.environ.get(THREADS_VARIABLE, "").partition(",")[0].strip()  # OpenMP takes a number for each level
-    if threads.isdecimal():
+    if threads.isascii() and threads.isdecimal():
         importlib.import_module("drjit").set_thread_count(int(threads))
     return variant
 
