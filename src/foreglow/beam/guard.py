@@ -36,6 +36,7 @@ from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import MIN_STEP_S, BeamCommand, BeamMode, Frame, Tracks
 from foreglow.types.arrays import check_kind
+from foreglow.types.beam import MAX_FAULTS, fault_name
 
 
 class Guard:
@@ -98,7 +99,8 @@ class Guard:
         faults += self._motion_faults(frame)
         faults += self._track_faults(tracks, is_vehicle, elapsed_s)
         faults += self._command_faults(wanted, frame)
-        names = (*pipeline_faults, *wanted.faults, *(str(fault) for fault in faults))
+        others = [fault_name(name) for name in (*pipeline_faults, *wanted.faults)]
+        names = (*others[: MAX_FAULTS - len(faults)], *(str(fault) for fault in faults))
         if names or wanted.mode == BeamMode.LOW or tracks is None or frame.camera is None:
             self._levels = np.zeros_like(self._levels)
             return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds, *names)

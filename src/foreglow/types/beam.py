@@ -22,6 +22,15 @@ MAX_FAULTS, MAX_FAULT_LENGTH = 100, 100
 """Names of faults in a command, and characters of each: they are stored with every frame."""
 
 
+def fault_name(name: str) -> str:
+    """A name that a command takes, for any text.
+
+    >>> fault_name("map_lost"), fault_name(""), fault_name("a\\nb")
+    ('map_lost', 'unnamed', 'a?b')
+    """
+    return "".join(letter if letter.isprintable() else "?" for letter in name[:MAX_FAULT_LENGTH]) or "unnamed"
+
+
 class BeamMode(IntEnum):
     """The kind of beam."""
 
