@@ -23,9 +23,9 @@ MAX_FAULTS, MAX_FAULT_LENGTH = 100, 100
 
 
 def fault_name(name: str) -> str:
-    """A name that a command takes, for any text.
+    r"""A name that a command takes, for any text.
 
-    >>> fault_name("map_lost"), fault_name(""), fault_name("a\\nb")
+    >>> fault_name("map_lost"), fault_name(""), fault_name("a\nb")
     ('map_lost', 'unnamed', 'a?b')
     """
     return "".join(letter if letter.isprintable() else "?" for letter in name[:MAX_FAULT_LENGTH]) or "unnamed"
