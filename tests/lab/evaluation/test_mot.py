@@ -111,7 +111,7 @@ def test_files_that_were_edited_since_stay(dataset: PVDN, tmp_path: Path, name: 
     (out / name).write_text("99,1,1,1,1,1,1,1,1\n")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     with pytest.raises(
-        ValueError, match=f"{name}: expected the file that was exported, got a changed one, which stays"
+        ValueError, match=f"{name}: expected the file that Foreglow wrote, got a changed one, which stays"
     ):
         export_mot(dataset, BOXES, followed(0, 0, 0), out, "ours")
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
