@@ -229,7 +229,7 @@ RESULTS = ("run", "beam", "live", "demo", "train", "tune", "evaluate", "reproduc
 """Commands with a folder for results."""
 
 
-@pytest.mark.parametrize("command", (*RESULTS, "export-yolo", "export-mot", "simulate", "import"))
+@pytest.mark.parametrize("command", [*RESULTS, "export-yolo", "export-mot", "simulate", "import"])
 def test_data_sets_take_no_results(command: str, tmp_path: Path) -> None:
     """Nor do their images and labels; `simulate` and `labels import` add splits to them."""
     tiny = make_pvdn(tmp_path / "data")
@@ -248,11 +248,11 @@ def test_data_sets_take_no_results(command: str, tmp_path: Path) -> None:
 def test_exports_take_no_results_of_other_commands(image: Path, tmp_path: Path) -> None:
     tiny = make_pvdn(tmp_path / "data")
     run, mot, yolo = (tmp_path / name for name in ("run", "mot", "yolo"))
-    for words in (("run", tiny, "--out", run), ("export-mot", run, tiny, "--out", mot)):
-        assert foreglow_command(*words).exit_code == 0
-    assert foreglow_command("export-yolo", tiny.parents[1], "--out", yolo).exit_code == 0
+    assert foreglow_command("run", tiny, "--out", run).exit_code == 0
+    assert foreglow_command("export-mot", run, tiny, "--out", mot).exit_code == 0
+    assert foreglow_command("export-yolo", tiny.parents[1], "--preset", "paper", "--out", yolo).exit_code == 0
     for folder, writer in ((mot, "export-mot"), (yolo, "export-yolo")):
-        for words in (("run", image), ("demo", image), ("live", image), ("evaluate", tmp_path), ("train", tmp_path)):
+        for words in (("run", image), ("demo", image), ("live", image), ("evaluate", tiny), ("train", tiny.parents[1])):
             told = complaint(*words, "--out", folder)
             assert f"--out {folder}: expected another folder for these results, " in told
             assert f"is of `foreglow {writer}`" in told

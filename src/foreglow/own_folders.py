@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import zlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,7 +43,7 @@ RESULT_FILES = (
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
 CHECKSUMS = "checksums.json"
-"""The file that has the CRC-32 of those of an export, or of `annotate`, by their paths: lists, for what is meanwhile."""
+"""The file with the CRC-32 of those of an export, or of `annotate`, by their paths: lists, for what is meanwhile."""
 
 MAX_CHECKSUMS_BYTES = 1 << 28
 """Largest such file: four million files."""

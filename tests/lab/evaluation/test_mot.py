@@ -129,9 +129,11 @@ def test_an_export_goes_into_a_new_folder(dataset: PVDN, tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b"])
-def test_a_name_that_leads_out_of_the_folder(dataset: PVDN, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match="name of the tracker: expected one of a folder"):
+@pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b", "a\nb", "a\x1b[1m"])
+def test_a_name_that_is_none_of_a_folder(dataset: PVDN, tmp_path: Path, name: str) -> None:
+    with pytest.raises(
+        ValueError, match=r"^name of the tracker: expected a printable one of a folder, without slashes, got '.*'$"
+    ):
         export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out", name)
     assert not (tmp_path / "out").exists()
 

@@ -240,8 +240,8 @@ def _own_boxes(dataset: PVDN, record: _Record | None) -> dict[str, int]:
         is_whole = all(paths[name].exists() for name in names)
         if unknown and not (is_whole and known and known.checksum == _checksum(dataset, sequence.image_ids)):
             raise ValueError(
-                f"{paths[unknown[0]]}: expected boxes that annotate wrote, or none, got others, which stay; {keep}, and "
-                "new boxes are made"
+                f"{paths[unknown[0]]}: expected boxes that annotate wrote, or none, got others, which stay; {keep}, "
+                "and new boxes are made"
             )
         found |= {name: checksum(paths[name]) for name in unknown}
     return found
