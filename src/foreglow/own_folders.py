@@ -243,13 +243,15 @@ def announce(folder: Path, checksums: Mapping[str, int]) -> None:
     if (folder / CHECKSUMS).is_file():
         known = _known_checksums(folder)
         both = known | {name: [*known.get(name, []), checksum] for name, checksum in checksums.items()}
-        write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0).encode())
+        write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0, sort_keys=True).encode())
 
 
 def checksums_file(checksums: Mapping[str, int], folder: Path | None = None) -> bytes:
     """The record of an export with these checksums, and those of the other files of an earlier one in `folder`."""
     known = {} if folder is None else _known_checksums(folder)
-    return json.dumps(known | {name: [checksum] for name, checksum in checksums.items()}, indent=0).encode()
+    return json.dumps(
+        known | {name: [checksum] for name, checksum in checksums.items()}, indent=0, sort_keys=True
+    ).encode()
 
 
 def _known_checksums(folder: Path) -> dict[str, list[int]]:
