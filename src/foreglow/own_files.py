@@ -176,9 +176,9 @@ def _is_of_frames(path: Path) -> bool:
     return _has(json.loads(_first_line(path)), "frame", "timestamp_ns")
 
 
-def _is_checksums(path: Path) -> bool:
+def _is_of_mot(path: Path) -> bool:
     known = json.loads(_whole(path))
-    return isinstance(known, dict) and all(isinstance(checksums, list) for checksums in known.values())
+    return isinstance(known, dict) and any(name.startswith(("gt/", "trackers/")) for name in known)
 
 
 def _is_state(path: Path) -> bool:
@@ -199,7 +199,7 @@ _CONTENTS: Mapping[str, Callable[[Path], bool]] = {
     "experiments.json": _is_state,
     "results.json": lambda path: _has(json.loads(_whole(path)), "made_with"),
     "export.json": lambda path: _has(json.loads(_whole(path)), "data", "boxes", "size_px", "splits"),
-    "checksums.json": _is_checksums,
+    "checksums.json": _is_of_mot,
 }
 """By name; of the files by which an earlier run, training, search or report is known."""
 

@@ -123,7 +123,7 @@ KINDS = {
     "summary.json": FolderKind(command_keys=("command",)),
     EXPORT: FolderKind(("export-yolo",), folders=("images", "labels"), begun=(EXPORT,)),
     f"{UNFINISHED_EXPORT}/{EXPORT}": FolderKind(("export-yolo",)),
-    CHECKSUMS: FolderKind(("export-mot", "export-yolo"), folders=("gt", "trackers"), begun=(CHECKSUMS,)),
+    CHECKSUMS: FolderKind(("export-mot",), folders=("gt", "trackers"), begun=(CHECKSUMS,)),
     "preview.toml": FolderKind(("simulate",)),
     "results.json": FolderKind(
         ("experiment", "evaluate", "reproduce", "yolo-train"), command_keys=("made_with", "command")
