@@ -45,6 +45,7 @@ def fixture_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done("calibrate", "convert", CAMERA, "--out", home / "made_CALIBRATION.toml", *MOUNT)
     scored = ("evaluate", split, "--predictions", home / "run" / "frames.jsonl")
     done(*scored, "--json", home / "made_QUALITY.json", "--out", home / "report")
+    (split / "labels/bounding_boxes").rename(home / "boxes")  # annotate replaces only its own
     done("annotate", split, "--json", home / "made_ANNOTATION.json")
     for name in ("cvat", "cvat-video", "coco", "label-studio"):
         suffix = ".xml" if name.startswith("cvat") else ".json"

@@ -20,6 +20,7 @@ from foreglow.own_folders import KINDS, TRAINING, TUNING, check_no_parts, check_
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
 from tests.cli.commands import PNG, complaint, foreglow_command
+from tests.datasets.tiny_pvdn import make_pvdn
 from tests.stand_ins import REFERENCE
 
 FRAME = '{"frame":0,"sequence":"","timestamp_ns":0}\n'
@@ -238,6 +239,9 @@ def test_results_of_another_command_stay(tmp_path: Path) -> None:
         ("study.journal", "", "tune"),
         ("plan.json", "[[[[", "experiment glare"),
         ("experiments.json", "{}", "reproduce"),
+        ("export.json", '{"data": "", "boxes": "", "size_px": 64, "splits": []}', "export-yolo"),
+        ("checksums.json", '{"gt/S00001/seqinfo.ini": [1]}', "export-mot"),
+        ("preview.toml", "", "simulate"),
     ],
 )
 def test_who_wrote_a_folder(name: str, text: str, writer: str, tmp_path: Path) -> None:
@@ -250,6 +254,48 @@ def test_who_wrote_a_folder(name: str, text: str, writer: str, tmp_path: Path) -
                 with pytest.raises(ValueError, match=f"{name} is of `foreglow {writer}`"):
                     check_outputs({}, {}, {"--out": tmp_path})
     check_outputs({}, {}, {"--out": tmp_path})  # a program of the user's own may know better
+
+
+RESULTS = ("run", "beam", "live", "demo", "train", "tune", "evaluate", "reproduce", "experiment glare", "yolo-train")
+"""Commands with a folder for results."""
+
+
+@pytest.mark.parametrize("command", [*RESULTS, "export-yolo", "export-mot", "simulate", "import"])
+def test_data_sets_take_no_results(command: str, tmp_path: Path) -> None:
+    """Nor do their images and labels; `simulate` and `labels import` add splits to them."""
+    tiny = make_pvdn(tmp_path / "data")
+    data = tiny.parents[1]
+    refused = [tiny / "labels", tiny / "labels/new", tiny / "images/S00001"]
+    refused += [data, data / "night"] if command not in ("simulate", "import") else []
+    refused += [tiny] if command != "import" else []  # whose own check is of the files there
+    for path in refused:
+        with running(command), pytest.raises(ValueError, match=f"--out {path}: expected a(nother)? folder "):
+            check_outputs({}, {}, {"--out": path})
+    with running(command):
+        check_outputs({}, {}, {"--out": data.with_name("new")})
+        check_outputs({}, {}, {"--out": data / "results"})
+
+
+def test_exports_take_no_results_of_other_commands(image: Path, tmp_path: Path) -> None:
+    tiny = make_pvdn(tmp_path / "data")
+    run, mot, yolo = (tmp_path / name for name in ("run", "mot", "yolo"))
+    assert foreglow_command("run", tiny, "--out", run).exit_code == 0
+    assert foreglow_command("export-mot", run, tiny, "--out", mot).exit_code == 0
+    assert foreglow_command("export-yolo", tiny.parents[1], "--preset", "paper", "--out", yolo).exit_code == 0
+    for folder, writer in ((mot, "export-mot"), (yolo, "export-yolo")):
+        for words in (("run", image), ("demo", image), ("live", image), ("evaluate", tiny), ("train", tiny.parents[1])):
+            told = complaint(*words, "--out", folder)
+            assert f"--out {folder}: expected another folder for these results, " in told
+            assert f"is of `foreglow {writer}`" in told
+    for part in (mot / "gt", mot / "trackers/foreglow", yolo / "images"):
+        assert "expected a new folder for the results, not a part of" in complaint("run", image, "--out", part)
+
+
+def test_a_file_that_is_only_called_like_that_of_an_export(image: Path, tmp_path: Path) -> None:
+    for name in ("export.json", "checksums.json"):
+        (tmp_path / name).write_text("mine")
+    assert foreglow_command("run", image, "--out", tmp_path).exit_code == 0
+    assert (tmp_path / "checksums.json").read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", ["results.json", "report.md", "config.toml", "range.png"])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.own_files import FileKind
-from foreglow.own_folders import KINDS, RESULT_FILES, TRAINING, TUNING, check_new_report, check_own
+from foreglow.own_folders import KINDS, RESULT_FILES, TRAINING, TUNING, check_new_report, check_own, is_mark
 from foreglow.whole_files import PARTIAL, partial_path, replaces_only
 
 REPORTING = ("experiment", "evaluate", "reproduce")
@@ -18,6 +18,9 @@ REPORTING = ("experiment", "evaluate", "reproduce")
 
 KEEPING = {"train": TRAINING, "tune": TUNING}
 """Commands that write a folder of a kind that has its own names, by which it is known; runs look when they begin."""
+
+COLLECTING = ("simulate", "import", "download")
+"""Commands that write into a folder of a data set, and check what is in it themselves."""
 
 PARTS_OF_SPLIT = ("images", "labels", "simulation")
 """Folders of a split in PVDN's format."""
@@ -215,6 +218,8 @@ def _check_writer(name: str, folder: Path) -> None:
     command = running_command()
     if command is None:
         return
+    if _is_in_split(folder, PARTS_OF_SPLIT):
+        raise ValueError(f"{name} {folder}: expected a folder that does not lie in a data set")
     for record, kind in KINDS.items():
         writer = _said_in(folder / record, kind.command_keys) if kind.command_keys else None
         if writer is not None and writer != command:
@@ -222,11 +227,12 @@ def _check_writer(name: str, folder: Path) -> None:
         if writer is not None:
             return
     for mark, kind in KINDS.items():
-        if kind.commands and (folder / mark).is_file() and not command.startswith(kind.commands):
+        if kind.commands and is_mark(folder / mark) and not command.startswith(kind.commands):
             raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
-    writers = tuple(writer for kind in KINDS.values() for writer in kind.commands)
-    if command.startswith(writers) and not any((folder / mark).is_file() for mark in KINDS) and _is_data_set(folder):
-        raise ValueError(f"{name} {folder}: expected a folder for the results, got a data set in PVDN's format")
+    if command not in COLLECTING and _has_split(folder):
+        raise ValueError(f"{name} {folder}: expected another folder for the results than that of a data set")
+    if command == "simulate" and _is_split(folder):
+        raise ValueError(f"{name} {folder}: expected a folder for splits, this is one; name another, or one around it")
     if command.startswith(REPORTING):
         check_new_report(f"{name} {folder}", folder)
     elif command in KEEPING:
@@ -270,14 +276,6 @@ def _is_split(folder: Path) -> bool:
     return is_split(folder)
 
 
-def _is_data_set(folder: Path) -> bool:
-    """Whether a folder is a split in PVDN's format, or one of a data set with its splits or those of its cycles."""
-    from foreglow.datasets.pvdn.schema import Cycle  # only here: the help comes without NumPy
-    from foreglow.datasets.pvdn.splits import SPLIT_NAMES
-
-    return any(_is_split(folder / cycle / name) for cycle in ("", *Cycle) for name in ("", *SPLIT_NAMES))
-
-
 def _has_split(folder: Path) -> bool:
     """Whether a folder is a split in PVDN's format, or a data set of some."""
     from foreglow.datasets.pvdn.splits import SPLIT_NAMES  # only here: the help comes without NumPy
@@ -287,9 +285,9 @@ def _has_split(folder: Path) -> bool:
 
 
 def _is_in_split(path: Path, parts: Sequence[str]) -> bool:
-    """Whether a file or folder lies below one of these parts of a split in PVDN's format."""
+    """Whether a file or folder is one of these parts of a split in PVDN's format, or lies below one."""
     try:
-        parents = path.resolve().parents
+        found = path.resolve()
     except (OSError, RuntimeError, ValueError):  # as in `_is_same`
         return False
-    return any(folder.name in parts and _is_split(folder.parent) for folder in parents)
+    return any(folder.name in parts and _is_split(folder.parent) for folder in (found, *found.parents))

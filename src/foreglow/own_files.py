@@ -176,6 +176,11 @@ def _is_of_frames(path: Path) -> bool:
     return _has(json.loads(_first_line(path)), "frame", "timestamp_ns")
 
 
+def _is_of_mot(path: Path) -> bool:
+    known = json.loads(_whole(path))
+    return isinstance(known, dict) and any(name.startswith(("gt/", "trackers/")) for name in known)
+
+
 def _is_state(path: Path) -> bool:
     state = json.loads(_whole(path))
     return isinstance(state, dict) and all(_has(known, "seconds") for known in state.values())
@@ -193,6 +198,8 @@ _CONTENTS: Mapping[str, Callable[[Path], bool]] = {
     "plan.json": lambda path: _has(json.loads(_whole(path)), "plan", "digest"),
     "experiments.json": _is_state,
     "results.json": lambda path: _has(json.loads(_whole(path)), "made_with"),
+    "export.json": lambda path: _has(json.loads(_whole(path)), "data", "boxes", "size_px", "splits"),
+    "checksums.json": _is_of_mot,
 }
 """By name; of the files by which an earlier run, training, search or report is known."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,8 +43,8 @@ RESULT_FILES = (
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
 
 CHECKSUMS = "checksums.json"
-"""The file of an export, a training or a search that has the CRC-32 of others by their paths: a list, for what is
-there meanwhile."""
+"""The file with the CRC-32 of those of an export, of `annotate`, a training or a search, by their paths: lists, for
+what is there meanwhile."""
 
 MAX_CHECKSUMS_BYTES = 1 << 28
 """Largest such file: four million files."""
@@ -63,6 +63,12 @@ EVENTS = "events.out.tfevents."
 
 REPORT_FOLDERS = ("rows", "predictions", "models", "models/*", "drives")
 """Folders in that of a report, with what an experiment continues from."""
+
+EXPORT = "export.json"
+"""The file by which an export to YOLO is known."""
+
+UNFINISHED_EXPORT = ".export.partial"
+"""Folder in that of an export to YOLO for what is exported until all of it is there."""
 
 RUN, TRAINING, TUNING = "frames.jsonl", "recipe.toml", "best.toml"
 """The files by which the folders of a run, of a training and of a search are known."""
@@ -116,11 +122,20 @@ KINDS = {
     "plan.json": FolderKind(("experiment glare",)),
     "experiments.json": FolderKind(("reproduce",)),
     "summary.json": FolderKind(command_keys=("command",)),
+    EXPORT: FolderKind(("export-yolo",), folders=("images", "labels"), begun=(EXPORT,)),
+    f"{UNFINISHED_EXPORT}/{EXPORT}": FolderKind(("export-yolo",)),
+    CHECKSUMS: FolderKind(("export-mot",), folders=("gt", "trackers"), begun=(CHECKSUMS,)),
+    "preview.toml": FolderKind(("simulate",)),
     "results.json": FolderKind(
         ("experiment", "evaluate", "reproduce", "yolo-train"), command_keys=("made_with", "command")
     ),
 }
 """By mark; a record of which command wrote the folder goes before the marks."""
+
+
+def is_mark(path: Path) -> bool:
+    """Whether `path` is a mark; of names that other programs use, too, by what it holds."""
+    return is_own(path) if path.name in (EXPORT, CHECKSUMS) else path.is_file()
 
 
 def check_replaceable(path: Path) -> None:
@@ -190,14 +205,19 @@ def check_made_together(files: Sequence[Path]) -> None:
         raise ValueError(_words_on_foreign(there[0]))
 
 
-def check_unchanged(folder: Path, names: Iterable[str] | None = None) -> dict[str, int]:
-    """The checksums of the files that an export has written into `folder`, by their paths there, and nobody changed.
+def check_unchanged(
+    folder: Path,
+    names: Collection[str] | None = None,
+    remedy: str = "choose another folder, or remove it and export again",
+) -> dict[str, int]:
+    """The checksums of the files that a command has written into `folder`, by their paths there, and nobody changed.
 
     Those that are gone are left out; an export of an early version has no checksums.
 
     Args:
         folder: The folder.
         names: Only these files; None for all.
+        remedy: What to do about a changed one, for the message.
 
     Raises:
         ValueError: If somebody has changed one, or the record of the checksums; the message names it.
@@ -205,14 +225,13 @@ def check_unchanged(folder: Path, names: Iterable[str] | None = None) -> dict[st
     """
     known = _known_checksums(folder)
     found = {}
-    for name in known if names is None else known.keys() & set(names):
+    for name in known if names is None else [name for name in names if name in known]:
         path = folder / name
         if path.is_file():
             found[name] = _checksum(path)
             if found[name] not in known[name]:
                 raise ValueError(
-                    f"{path}: expected the file that was exported, got a changed one, which stays; choose another "
-                    "folder, or remove it and export again"
+                    f"{path}: expected the file that Foreglow wrote, got a changed one, which stays; {remedy}"
                 )
     return found
 
@@ -223,22 +242,22 @@ def missing_files(folder: Path) -> list[Path]:
 
 
 def announce(folder: Path, checksums: Mapping[str, int]) -> None:
-    """Adds to the record of an earlier export what will replace its files, which are then known in either state.
+    """Adds to a record of checksums that is there what will replace its files, which are then known in either state.
 
     Raises:
         OSError: If the record cannot be written.
     """
-    if _known_checksums(folder):
+    if (folder / CHECKSUMS).is_file():
         _announce(folder, checksums)
 
 
 def _announce(folder: Path, checksums: Mapping[str, int]) -> None:
     known = _known_checksums(folder)
     both = known | {name: [*known.get(name, []), checksum] for name, checksum in checksums.items()}
-    write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0).encode())
+    write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0, sort_keys=True).encode())
 
 
-def check_as_written(folder: Path, names: Iterable[str]) -> None:
+def check_as_written(folder: Path, names: Collection[str]) -> None:
     """Checks that files which are to be replaced are those that `replace_results` wrote, and nobody changed.
 
     Args:
@@ -278,7 +297,9 @@ def replace_results(folder: Path, files: Mapping[str, bytes]) -> None:
 def checksums_file(checksums: Mapping[str, int], folder: Path | None = None) -> bytes:
     """The record of an export with these checksums, and those of the other files of an earlier one in `folder`."""
     known = {} if folder is None else _known_checksums(folder)
-    return json.dumps(known | {name: [checksum] for name, checksum in checksums.items()}, indent=0).encode()
+    return json.dumps(
+        known | {name: [checksum] for name, checksum in checksums.items()}, indent=0, sort_keys=True
+    ).encode()
 
 
 def _known_checksums(folder: Path) -> dict[str, list[int]]:
@@ -292,7 +313,7 @@ def _known_checksums(folder: Path) -> dict[str, list[int]]:
     except (ValueError, RecursionError, AttributeError):  # the file may be anything
         pass
     raise ValueError(
-        f"{path}: expected the checksums of what Foreglow wrote here, got something else; choose another folder"
+        f"{path}: expected checksums of what Foreglow wrote here, got something else; choose another folder"
     )
 
 

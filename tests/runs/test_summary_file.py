@@ -52,6 +52,7 @@ def test_a_live_run_comes_back(tmp_path: Path) -> None:
     ("field", "value", "complaint"),
     [
         ("num_frames", "2", r"num_frames: expected a valid integer, got '2'"),
+        ("num_with_road", -1, r"num_with_road: expected .* 0, got -1"),
         ("beam", {"num_low": 1}, r"beam\.num_glare_free: field is missing"),
         ("run_time_ms", {"total": {"median": "fast"}}, r"run_time_ms\.total\.median: expected a valid number"),
         ("live", {}, r"live\.num_dropped: field is missing"),

@@ -43,7 +43,7 @@ def annotate(
     from foreglow.display.progress import StepProgress
     from foreglow.display.summary_lines import counted
     from foreglow.files import check_each_once, write_json_results
-    from foreglow.lab.learning.annotation import annotate_split, splits_to_annotate
+    from foreglow.lab.learning.annotation import annotate_split, check_boxes, splits_to_annotate
 
     workers = work.workers()
     configuration = PipelineOptions(preset=preset, config=config).configuration()
@@ -53,6 +53,8 @@ def annotate(
     done: dict[Path, tuple[int, int]] = {}
     try:
         with locked({str(root): root / "labels" for root in roots}), StepProgress() as progress:
+            for root in roots:
+                check_boxes(root)
             for root in roots:
 
                 def tell(task: str, num_done: int, num_all: int, root: Path = root) -> None:

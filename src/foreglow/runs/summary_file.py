@@ -10,12 +10,14 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeAlias
+from typing import Annotated, Any, ClassVar, Self, TypeAlias
 
-from pydantic import ConfigDict, RootModel
+from pydantic import ConfigDict, Field, RootModel
 
 from foreglow.datasets.json_files import read_json
 from foreglow.files import fields_to_json, path_from_unicode, path_in_unicode
+
+Count: TypeAlias = Annotated[int, Field(ge=0)]
 
 RunTime: TypeAlias = dict[str, float | None]
 """`median`, `p95` and `p99` of one stage in milliseconds; None where no frame was run."""
@@ -40,11 +42,11 @@ class BeamSummary(_Strict):
         faults: By fault that caused low beam, in how many frames it did, the most frequent first.
     """
 
-    num_low: int
-    num_glare_free: int
-    num_full: int
+    num_low: Count
+    num_glare_free: Count
+    num_full: Count
     mean_gap_deg: float | None
-    faults: Mapping[str, int]
+    faults: Mapping[str, Count]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,18 +88,18 @@ class RunSummary(_Strict):
     source_digest: str | None = None
     is_complete: bool
     is_classified: bool
-    num_frames: int
-    num_proposals: int
-    num_scored: int | None
-    num_accepted: int | None
-    num_ranged: int | None
-    num_tracks: int | None
-    num_with_motion: int | None = None
-    num_with_road: int | None = None
+    num_frames: Count
+    num_proposals: Count
+    num_scored: Count | None
+    num_accepted: Count | None
+    num_ranged: Count | None
+    num_tracks: Count | None
+    num_with_motion: Count | None = None
+    num_with_road: Count | None = None
     beam: BeamSummary | None
-    num_skipped: int
+    num_skipped: Count
     skipped: Sequence[str]
-    frame_sizes_px: Sequence[tuple[int, int]]
+    frame_sizes_px: Sequence[tuple[Count, Count]]
     run_time_ms: Mapping[str, RunTime]
     version: str
     commit: str | None
@@ -105,7 +107,7 @@ class RunSummary(_Strict):
     processor: str
     dispatch: str | None
     command: str | None = None
-    num_lost_parts: int = 0
+    num_lost_parts: Count = 0
     frames_sha256: str | None = None
 
     def to_json(self) -> dict[str, Any]:
@@ -147,11 +149,11 @@ class LivePart(_Strict):
         faults: The latest events.
     """
 
-    num_dropped: int
-    num_late: int
-    num_unrecorded: int
+    num_dropped: Count
+    num_late: Count
+    num_unrecorded: Count
     sink_errors: Sequence[str]
-    fault_counts: Mapping[str, int]
+    fault_counts: Mapping[str, Count]
     faults: Sequence[FaultEvent]
 
 

@@ -354,6 +354,30 @@ def test_predictions_of_label_studio_are_no_labels(split: Path, tmp_path: Path) 
     assert dataset.labels.lost == {"image that nobody has annotated": 4}
 
 
+@pytest.mark.parametrize(("marked", "taken"), [((), 3), ((0,), 1), ((1,), 2), ((0, 1), 2)])
+def test_one_of_several_annotations_counts(marked: tuple[int, ...], taken: int, split: Path, tmp_path: Path) -> None:
+    """The last, or the last that is marked as ground truth."""
+    path = tmp_path / "labels.json"
+    write_labels_file(path, labels_of(open_labelled(split)), "label-studio")
+    tasks = json.loads(path.read_text())
+    (task,) = (task for task in tasks if "000007" in task["data"]["image"])
+    points = [part for part in task["annotations"][0]["result"] if part["type"] == "keypointlabels"]
+    others = [part for part in task["annotations"][0]["result"] if part["type"] != "keypointlabels"]
+    kept = {part["id"] for part in points}
+    assert len(kept) >= 3
+    task["annotations"] = [
+        {
+            "result": [part for part in points + others if part["id"] in sorted(kept)[:number]],
+            "ground_truth": index in marked,
+        }
+        for index, number in enumerate((1, 2, 3))
+    ]
+    path.write_text(json.dumps([task]))
+    found = LabelFile(path, split / "images").labels
+    assert len(found.images[0].marks) == taken
+    assert found.lost["annotation that another of the same image replaces"] == 2
+
+
 def test_a_vehicle_has_one_point() -> None:
     marks = [Mark(Kind.VEHICLE, (1, 2), 3), Mark(Kind.VEHICLE, (5, 6), 3)]
     with pytest.raises(ValueError, match=r"a\.xml: vehicle 3: expected one point, got several"):

@@ -56,6 +56,16 @@ def test_a_hidden_split_is_not_complete(split: Path, tmp_path: Path) -> None:
     assert not is_pvdn(tmp_path / "out")
 
 
+@pytest.mark.parametrize("inner", ["val", "day/val", "mine"])
+def test_no_split_is_written_around_others(inner: str, split: Path, tmp_path: Path) -> None:
+    """Commands would take one of them, and say nothing."""
+    shutil.copytree(split, tmp_path / "out" / inner)
+    with pytest.raises(ValueError, match=f"out: expected a folder without a data set, the split .*out/{inner} is "):
+        write_split(open_labelled(split), tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [Path(inner).parts[0]]
+    write_split(open_labelled(split), tmp_path / "out" / "another")
+
+
 def test_empty_folders_are_no_data_set(split: Path, tmp_path: Path) -> None:
     (tmp_path / "out/images/S00001").mkdir(parents=True)
     (tmp_path / "out/labels").mkdir()

@@ -111,7 +111,7 @@ def test_files_that_were_edited_since_stay(dataset: PVDN, tmp_path: Path, name: 
     (out / name).write_text("99,1,1,1,1,1,1,1,1\n")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     with pytest.raises(
-        ValueError, match=f"{name}: expected the file that was exported, got a changed one, which stays"
+        ValueError, match=f"{name}: expected the file that Foreglow wrote, got a changed one, which stays"
     ):
         export_mot(dataset, BOXES, followed(0, 0, 0), out, "ours")
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
@@ -129,9 +129,11 @@ def test_an_export_goes_into_a_new_folder(dataset: PVDN, tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b"])
-def test_a_name_that_leads_out_of_the_folder(dataset: PVDN, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match="name of the tracker: expected one of a folder"):
+@pytest.mark.parametrize("name", ["../other", "/other", "..", "", "a/b", "a\nb", "a\x1b[1m"])
+def test_a_name_that_is_none_of_a_folder(dataset: PVDN, tmp_path: Path, name: str) -> None:
+    with pytest.raises(
+        ValueError, match=r"^name of the tracker: expected a printable one of a folder, without slashes, got '.*'$"
+    ):
         export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out", name)
     assert not (tmp_path / "out").exists()
 

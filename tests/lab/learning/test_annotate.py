@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,12 @@ from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
 from foreglow.datasets import PVDN
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import annotation_quality
+from foreglow.lab.learning import annotation
 from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, splits_to_annotate
+from foreglow.own_folders import CHECKSUMS
 from foreglow.parallel import Local
 from foreglow.proposals import make_proposer
+from foreglow.whole_files import write_atomic
 from tests.cli.commands import complaint, foreglow_command
 from tests.datasets.tiny_pvdn import edit
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -150,29 +154,105 @@ def test_missing_box_file_is_made_again(split: Path) -> None:
     assert box_files(split) == before
 
 
-def test_boxes_that_were_changed_are_neither_counted_nor_replaced(split: Path) -> None:
+def make_newer(path: Path) -> None:
+    later_ns = path.stat().st_mtime_ns + 10**9
+    os.utime(path, ns=(later_ns, later_ns))
+
+
+def with_newer_images(split: Path) -> None:
+    """As after a copy without the times."""
+    for path in (split / "images").rglob("*.png"):
+        make_newer(path)
+
+
+REASONS: dict[str, tuple[PipelineConfig, Callable[[Path], None]]] = {
+    "the same parameters": (PAPER, lambda _: None),
+    "another preset": (preset("baseline"), lambda _: None),
+    "another parameter": (PipelineConfig(proposals=ProposalConfig(gap_px=1)), lambda _: None),
+    "other key points in the sequence": (PAPER, lambda split: make_newer(split / "labels/keypoints/000101.json")),
+    "other key points in another one": (PAPER, lambda split: make_newer(split / "labels/keypoints/000200.json")),
+    "newer images": (PAPER, with_newer_images),
+    "boxes that are missing": (PAPER, lambda split: (split / "labels/bounding_boxes/000101.json").unlink()),
+    "no record": (PAPER, lambda split: (split / "labels" / RECORD_NAME).unlink()),
+}
+"""Why boxes are made anew."""
+
+
+@pytest.mark.parametrize("reason", REASONS)
+def test_boxes_that_were_changed_are_neither_counted_nor_replaced(split: Path, reason: str) -> None:
     annotate_split(split, PAPER)
+    config, change = REASONS[reason]
+    change(split)
     path = split / "labels" / "bounding_boxes" / "000100.json"
-    edited = json.dumps({"bounding_boxes": [[1, 2, 3, 4]], "labels": [0.0]})
-    path.write_text(edited)
-    with pytest.raises(ValueError, match=r"bounding_boxes: sequence S\d+: expected the boxes that annotate wrote, got"):
-        annotate_split(split, PAPER)
-    assert path.read_text() == edited
+    path.write_text(json.dumps({"bounding_boxes": [[1, 2, 3, 4]], "labels": [0.0]}))
+    before = box_files(split), changed(split)
+    words = rf"{path}: expected the file that Foreglow wrote, got a changed one, which stays; rename .*bounding_boxes "
+    with pytest.raises(ValueError, match=words):
+        annotate_split(split, config)
+    assert (box_files(split), changed(split)) == before
     path.unlink()
-    annotate_split(split, PAPER)
-    assert path.read_text() != edited
+    annotate_split(split, config)
+    assert path.read_bytes() != before[0][path.name]
 
 
-def test_a_record_without_checksums_is_kept(split: Path) -> None:
-    """As an early version wrote it."""
+def test_no_split_is_begun_where_boxes_of_another_were_changed(tmp_path: Path) -> None:
+    data = make_night_set(tmp_path, ("train", "val"), num_images=1)
+    annotate_split(data / "night/val", PAPER)
+    path = min((data / "night/val/labels/bounding_boxes").iterdir())
+    path.write_text(json.dumps({"bounding_boxes": [[1, 2, 3, 4]], "labels": [0.0]}))
+    assert f"{path}: expected the file that Foreglow wrote" in complaint("annotate", data, "--preset", "baseline")
+    assert box_files(data / "night/train") == {}
+
+
+def test_boxes_of_something_else_stay(split: Path) -> None:
+    """Such as those that came with PVDN, or of an early version without checksums."""
+    path = split / "labels/bounding_boxes/000101.json"
+    path.write_text(json.dumps({"bounding_boxes": [[1, 2, 3, 4]], "labels": [0.0]}))
+    before = box_files(split), changed(split)
+    words = f"{path}: expected boxes that annotate wrote, or none, got others, which stay; rename {path.parent} to keep"
+    assert words in complaint("annotate", split)
+    assert (box_files(split), changed(split)) == before
+    path.parent.rename(path.parent.with_name("bounding_boxes.original"))
+    assert annotate_split(split, PAPER).num_boxes == 2 * NUM_ALL
+
+
+def test_an_earlier_version_had_checksums_of_whole_sequences_only(split: Path) -> None:
     annotate_split(split, PAPER)
-    record = split / "labels" / RECORD_NAME
-    lines = [line for line in record.read_text().splitlines() if not line.startswith("checksum = ")]
-    record.write_text("\n".join(lines))
-    assert "checksum" not in record.read_text()
+    (split / "labels" / CHECKSUMS).unlink()
     before = changed(split)
     annotate_split(split, PAPER)
     assert changed(split) == before
+    (split / "labels" / CHECKSUMS).unlink()
+    (split / "labels/bounding_boxes/000101.json").unlink()
+    with pytest.raises(ValueError, match=r"000100\.json: expected boxes that annotate wrote"):
+        annotate_split(split, PAPER)
+
+
+def test_killed_calls_go_on(split: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whichever file was the last that was written, boxes are known as ours."""
+    annotate_split(split, PAPER)
+    baseline = preset("baseline")
+    for last in range(2 * NUM_IMAGES):
+        with monkeypatch.context() as patched:
+            patched.setattr(annotation, "write_atomic", _failing_after(last))
+            with pytest.raises(OSError, match="killed"):
+                annotate_split(split, PAPER if last % 2 else baseline)
+    annotate_split(split, baseline)
+    made = box_files(split)
+    shutil.rmtree(split / "labels/bounding_boxes")
+    annotate_split(split, baseline)
+    assert box_files(split) == made
+
+
+def _failing_after(number: int) -> Callable[[Path, bytes], None]:
+    left = iter(range(number))
+
+    def write(path: Path, data: bytes) -> None:
+        if path.parent.name == "bounding_boxes" and next(left, None) is None:
+            raise OSError("killed")
+        write_atomic(path, data)
+
+    return write
 
 
 @pytest.mark.parametrize("name", ["num_boxes", "num_positive", "num_ignored"])

@@ -107,7 +107,7 @@ def test_frames_of_another_sequence_are_others(tmp_path: Path) -> None:
             read_suggestions(path, sequences)
     path.write_text(suggestions_text(drive_of("", [0.25, 0.5])))
     assert read_suggestions(path, {0: "S1", 1: "S1"}) == {0, 1}, "of a video whose frames are a set by now"
-    path.write_text("frame,sequence\n1\n")
+    path.write_text("frame,sequence\n1,\n")
     assert read_suggestions(path, {1: "S1"}) == {1}, "as a person may write it"
 
 
@@ -121,6 +121,8 @@ def test_the_file_is_read_back(tmp_path: Path) -> None:
         ("frame,sequence\n", "line 2: expected at least one frame, got none"),
         ("frame\nseven\n", "line 2: frame: expected a number, got 'seven'"),
         ("x,frame\n1\n", "line 2: frame: expected a number"),
+        ("frame\n1,S1\n", "line 2: expected 1 cells, as in line 1, got 2"),
+        ("frame,sequence\n1,S1\n2\n", "line 3: expected 2 cells, as in line 1, got 1"),
         ("frame\n-1\n", "line 2: frame: expected a number"),
         ("frame,frame\n1,2\n", "line 1: expected one column called frame, got 2"),
         ("sequence,frame,sequence\n1,2,3\n", "line 1: expected one column called sequence, got 2"),

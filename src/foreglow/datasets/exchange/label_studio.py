@@ -55,10 +55,11 @@ class Region(Record):
 
 
 class Annotation(Record):
-    """What one person says of an image."""
+    """What one person says of an image; the ground truth is what somebody has marked as such."""
 
     result: tuple[Region, ...] = ()
     was_cancelled: bool = False
+    ground_truth: bool = False
 
 
 class Task(Record):
@@ -84,11 +85,12 @@ def read_label_studio(path: Path) -> LabelSet:
     images = []
     for index, task in enumerate(read_json(path, TasksFile).root):
         origin = f"{path}: {index}"
-        given = [annotation for annotation in task.annotations if not annotation.was_cancelled]
+        given = [annotation for annotation in reversed(task.annotations) if not annotation.was_cancelled]
         lost["annotation that another of the same image replaces"] += max(0, len(given) - 1)
         if given:
             name = plain_path(_name_of(task.data, origin), f"{origin}.data.image")
-            images.append(_image(name, given[-1], origin, lost))
+            taken = max(given, key=lambda annotation: annotation.ground_truth)
+            images.append(_image(name, taken, origin, lost))
         else:
             lost["image that nobody has annotated"] += 1
     return LabelSet(checked_images(images, path), +lost)

@@ -67,7 +67,7 @@ def is_split(folder: Path) -> bool:
 
 def is_pvdn(path: Path) -> bool:
     """Whether `path` is a split, one of its sequences, or a folder with splits one or two levels below."""
-    return path.is_dir() and bool(is_split(path) or _splits_below(path) or _split_of_sequence(path))
+    return path.is_dir() and bool(is_split(path) or splits_below(path) or _split_of_sequence(path))
 
 
 def find_split(folder: Path) -> tuple[Path, str | None]:
@@ -84,7 +84,7 @@ def find_split(folder: Path) -> tuple[Path, str | None]:
     split = _split_of_sequence(folder)
     if split is not None:
         return split, folder.resolve().name
-    below = _splits_below(folder)
+    below = splits_below(folder)
     if len(below) > 1:
         raise ValueError(f"{folder}: expected one split of PVDN, such as {below[0]}")
     return (below or [folder])[0], None
@@ -101,7 +101,8 @@ def found_name(path: Path) -> str:
     return str(named.resolve() if named.name in ("", "..") else named)
 
 
-def _splits_below(folder: Path) -> list[Path]:
+def splits_below(folder: Path) -> list[Path]:
+    """The splits one or two levels below `folder`."""
     depths = ("[!.]*", "[!.]*/[!.]*")  # what is hidden is not complete
     return sorted(labels.parents[1] for depth in depths for labels in folder.glob(f"{depth}/labels/sequences.json"))
 

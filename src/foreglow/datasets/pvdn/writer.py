@@ -31,6 +31,7 @@ from foreglow.datasets.pvdn.schema import (
     SequencesFile,
     Vehicle,
 )
+from foreglow.datasets.pvdn.splits import splits_below
 from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
 
@@ -309,7 +310,7 @@ def write_label_files(root: Path, images_file: ImageAnnotationsFile, sequences_f
 
 
 def check_new_split(root: Path) -> None:
-    """Checks that a folder holds no images and labels: leftovers of another split would contradict the new labels.
+    """Checks that a folder holds no images and labels, which would contradict the new labels, and no other splits.
 
     Raises:
         ValueError: If it does.
@@ -318,6 +319,8 @@ def check_new_split(root: Path) -> None:
         found = next((path for path in (root / folder).rglob("*") if path.is_file()), None)
         if found is not None:
             raise ValueError(f"{found}: expected a folder without a data set, this file is there")
+    for split in splits_below(root):
+        raise ValueError(f"{root}: expected a folder without a data set, the split {split} is there")
 
 
 def _make_folders(root: Path) -> None:

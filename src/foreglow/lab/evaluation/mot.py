@@ -78,13 +78,13 @@ def export_mot(
 
     Raises:
         FileNotFoundError: If a label file is missing.
-        ValueError: If a label file is broken, the run lacks an image, no sequence has a light, `name` is a path, or a
-            file is there that is not of an earlier export: of this split, or of others in the same folder. Or if a
-            file that would be replaced was changed since.
+        ValueError: If a label file is broken, the run lacks an image, no sequence has a light, `name` is a path or
+            unprintable, or a file is there that is not of an earlier export: of this split, or of others in the same
+            folder. Or if a file that would be replaced was changed since.
         OSError: If a file cannot be written.
     """
-    if not name or name != Path(name).name or name == "..":
-        raise ValueError(f"name of the tracker: expected one of a folder, without slashes, got {name!r}")
+    if not name or name != Path(name).name or name == ".." or not name.isprintable():
+        raise ValueError(f"name of the tracker: expected a printable one of a folder, without slashes, got {name!r}")
     files: dict[Path, str] = {}
     num_lights = 0
     for sequence in dataset.sequences:

@@ -7,6 +7,7 @@ import functools
 import itertools
 import math
 import uuid
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import FrozenModel, PipelineConfig, ProposalConfig, read_toml, validated
 from foreglow.datasets import PVDN, LabelledSource, split_folder
-from foreglow.datasets.json_files import read_json, write_json
+from foreglow.datasets.json_files import json_bytes, read_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
@@ -29,6 +30,7 @@ from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.kept_files import checksum, checksum_of
+from foreglow.own_folders import CHECKSUMS, announce, check_unchanged, checksums_file
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
@@ -75,6 +77,9 @@ def label_image(dataset: LabelledSource, image_id: int, boxes_xyxy_px: NDArray[A
     doubtful_px = np.array([light.position_px for light in dataset.doubtful(image_id)], np.int32).reshape(-1, 2)
     return label_boxes(boxes_xyxy_px, dataset.keypoints_px(image_id), doubtful_px)
 
+
+FOLDER_NAME = "bounding_boxes"
+"""Folder of the boxes in `labels`."""
 
 RECORD_NAME = "bounding_boxes.toml"
 """File beside the folder of boxes that records the parameters they were made with, and their numbers."""
@@ -191,17 +196,17 @@ def annotate_split(
     workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> Annotation:
-    """Writes the boxes of every image of the split `root`, replacing earlier ones, and rates them.
+    """Writes the boxes of every image of the split `root`, replacing those of earlier calls, and rates them.
 
     A box is labelled 1 with a key point in it and 0 without; a box that contains only doubtful light is left out. Files
     are written atomically. An interrupted call can be repeated: sequences that were finished with the same parameters
-    are kept, unless an image or its key points are newer than the boxes. Such a sequence with boxes that are not what
-    was written, perhaps by hand, is neither counted nor replaced.
+    are kept, unless an image or its key points are newer than the boxes. Boxes that are not what was written, perhaps
+    by hand, are neither counted nor replaced, whatever the parameters; see `check_boxes`.
 
     Raises:
         FileNotFoundError: If the split, an image or a label file is missing.
-        ValueError: If one of them is broken, boxes that were finished have changed since, or another call is writing
-            there.
+        ValueError: If one of them is broken, boxes were changed since or are of something else, or another call is
+            writing there.
         OSError: If a file cannot be written.
     """
     dataset = PVDN(root)
@@ -209,29 +214,71 @@ def annotate_split(
         return _annotated(dataset, config, preset, workers, progress)
 
 
+def check_boxes(root: Path | str) -> None:
+    """Checks that all boxes of the split `root` are as `annotate_split` wrote them, so that it may replace them.
+
+    Raises:
+        FileNotFoundError: If the split is missing.
+        ValueError: If a file was changed since, or something else wrote it; the message names it. Or if the record
+            beside the boxes is broken.
+    """
+    dataset = PVDN(root)
+    _own_boxes(dataset, _record_in(dataset.root / "labels" / RECORD_NAME))
+
+
+def _own_boxes(dataset: PVDN, record: _Record | None) -> dict[str, int]:
+    """The checksums of the boxes that are there, by their paths in `labels`; raises as `check_boxes`."""
+    labels = dataset.root / "labels"
+    paths = {_name(image_id): _box_file(dataset, image_id) for image_id in dataset.frame_ids}
+    keep = f"rename {labels / FOLDER_NAME} to keep it"
+    found = check_unchanged(labels, paths, f"{keep}, or remove this file to have it made again")
+    recorded = {} if record is None else {sequence.directory: sequence for sequence in record.sequences}
+    for sequence in dataset.sequences:
+        names = [_name(image_id) for image_id in sequence.image_ids]
+        unknown = [name for name in names if name not in found and paths[name].exists()]
+        known = recorded.get(sequence.directory)  # of an earlier version, whose checksums are of whole sequences
+        is_whole = all(paths[name].exists() for name in names)
+        if unknown and not (is_whole and known and known.checksum == _checksum(dataset, sequence.image_ids)):
+            raise ValueError(
+                f"{paths[unknown[0]]}: expected boxes that annotate wrote, or none, got others, which stay; {keep}, "
+                "and new boxes are made"
+            )
+        found |= {name: checksum(paths[name]) for name in unknown}
+    return found
+
+
 def _annotated(
     dataset: PVDN, config: PipelineConfig, preset: str, workers: Workers | None, progress: Progress | None
 ) -> Annotation:
-    folder = dataset.root / "labels" / "bounding_boxes"
+    folder = dataset.root / "labels" / FOLDER_NAME
     if folder.resolve() == folder.with_name("keypoints").resolve():
         raise ValueError(f"{folder}: expected a folder of its own, got a link to the key points")
+    path = folder.with_name(RECORD_NAME)
+    earlier = _record_in(path)
+    checksums = _own_boxes(dataset, earlier)
     folder.mkdir(parents=True, exist_ok=True)
     parameters = config.proposals.model_dump(exclude_none=True, exclude={"backend", "dispatch"})
     parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}
     record = _Record(version=version("foreglow"), preset=preset, is_complete=False, proposals=parameters)
-    path = folder.with_name(RECORD_NAME)
-    done = _kept(dataset, path, record)
+    done = _kept(dataset, earlier, record)
     tell = progress or (lambda task, num_done, num_all: None)  # noqa: ARG005
     directories = [sequence.directory for sequence in dataset.sequences]
     todo = {directory: directory for directory in directories if directory not in done}
     work = functools.partial(_annotate_sequence, dataset.root, config.proposals, uuid.uuid4().hex)
+    write_atomic(folder.with_name(CHECKSUMS), checksums_file(checksums, folder.parent))
     made = (workers or Local()).each(work, todo, lambda *_: None, paths=(dataset.root,))
     for directory, finished in itertools.chain([("", None)], made):
         if finished is not None:
-            done[directory] = finished
+            done[directory], files = finished
+            written = {name: zlib.crc32(data) for name, data in files.items()}
+            announce(folder.parent, written)
+            for name, data in files.items():
+                write_atomic(folder.parent / name, data)
+            checksums |= written
         record = record.model_copy(update={"sequences": tuple(done[each] for each in directories if each in done)})
         write_atomic(path, _toml(record))
         tell(dataset.name, sum(each.num_images for each in done.values()), len(dataset))
+    write_atomic(folder.with_name(CHECKSUMS), checksums_file(checksums, folder.parent))
     write_atomic(path, _toml(record.model_copy(update={"is_complete": True})))
     totals = {
         name: sum(getattr(sequence, name) for sequence in record.sequences)
@@ -243,19 +290,23 @@ def _annotated(
 
 def _annotate_sequence(
     root: Path, config: ProposalConfig, call: str, directory: str, parent: Parent
-) -> _SequenceRecord:
+) -> tuple[_SequenceRecord, dict[str, bytes]]:
+    """The record of a sequence, and what its files of boxes hold, by their paths in `labels`."""
     dataset, proposer = _dataset(root, call), make_proposer(config)
-    counts, image_ids = [], dataset.only(directory).frame_ids
-    for image_id in image_ids:
+    counts, files = [], {}
+    for image_id in dataset.only(directory).frame_ids:
         if parent.is_stopped:
             raise KeyboardInterrupt
-        counts.append(_annotate_image(dataset, image_id, proposer))
-    return _SequenceRecord(
+        boxes, *numbers = _annotate_image(dataset, image_id, proposer)
+        files[_name(image_id)] = json_bytes(boxes)
+        counts.append(numbers)
+    record = _SequenceRecord(
         directory=directory,
         num_images=len(counts),
         **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
-        checksum=_checksum(dataset, image_ids),
+        checksum=checksum_of([zlib.crc32(data) for data in files.values()]),
     )
+    return record, files
 
 
 def _checksum(dataset: PVDN, image_ids: Iterable[int]) -> int:
@@ -269,8 +320,8 @@ def _dataset(root: Path, call: str) -> PVDN:  # noqa: ARG001
     return PVDN(root)
 
 
-def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[int, int, int]:
-    """Writes the boxes of one image; returns the numbers of boxes, of positive ones, and of those left out."""
+def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[BoxLabels, int, int, int]:
+    """The boxes of one image, and the numbers of boxes, of positive ones, and of those left out."""
     boxes = proposer.propose(dataset.read(image_id).image).boxes_xyxy_px
     labels = label_image(dataset, image_id, boxes)
     is_written = labels != IGNORED
@@ -278,17 +329,20 @@ def _annotate_image(dataset: PVDN, image_id: int, proposer: Proposer) -> tuple[i
     record = BoxLabels(
         boxes_xyxy_px=tuple(map(tuple, boxes[is_written].tolist())), labels=tuple(kept.astype(float).tolist())
     )
-    write_json(_box_file(dataset, image_id), record)
-    return len(kept), int(kept.sum()), int(np.count_nonzero(~is_written))
+    return record, len(kept), int(kept.sum()), int(np.count_nonzero(~is_written))
 
 
-def _kept(dataset: PVDN, path: Path, wanted: _Record) -> dict[str, _SequenceRecord]:
-    """The sequences that were finished with the same parameters, and whose boxes are newer than images and labels."""
+def _record_in(path: Path) -> _Record | None:
+    """What an earlier call recorded at `path`; None if there is nothing."""
     if not path.is_file():
-        return {}
+        return None
     fields = {name: tuple(value) if isinstance(value, list) else value for name, value in read_toml(path).items()}
-    there = validated(_Record, fields, str(path))
-    if not there.is_made_like(wanted):
+    return validated(_Record, fields, str(path))
+
+
+def _kept(dataset: PVDN, there: _Record | None, wanted: _Record) -> dict[str, _SequenceRecord]:
+    """The sequences that were finished with the same parameters, and whose boxes are newer than images and labels."""
+    if there is None or not there.is_made_like(wanted):
         return {}
     finished = {sequence.directory: sequence for sequence in there.sequences}
     return {
@@ -344,7 +398,12 @@ def _check_counts(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) ->
 
 
 def _box_file(dataset: PVDN, image_id: int) -> Path:
-    return dataset.root / "labels" / "bounding_boxes" / f"{image_id:06d}.json"
+    return dataset.root / "labels" / _name(image_id)
+
+
+def _name(image_id: int) -> str:
+    """The file of an image's boxes, as seen from `labels`."""
+    return f"{FOLDER_NAME}/{image_id:06d}.json"
 
 
 def _toml(record: _Record) -> bytes:

@@ -191,8 +191,8 @@ def read_suggestions(path: Path, sequences: Mapping[int, str] | None = None) -> 
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it has no such column or no line after it, a number is none or that of no frame, or a sequence
-            is another one; the message names the line.
+        ValueError: If it has no such column or no line after it, a line has more or fewer cells than the first, a
+            number is none or that of no frame, or a sequence is another one; the message names the line.
     """
     try:
         rows = list(csv.reader(line.decode("utf-8-sig") for line in read_lines(path)))
@@ -213,12 +213,14 @@ def read_suggestions(path: Path, sequences: Mapping[int, str] | None = None) -> 
         text = row[column] if column < len(row) else ""
         if not (text.isascii() and text.isdigit() and len(text) < 17):
             raise ValueError(f"{path}: line {line}: frame: expected a number, got {shortened(text)}")
+        if len(row) != len(rows[0]):
+            raise ValueError(f"{path}: line {line}: expected {len(rows[0])} cells, as in line 1, got {len(row)}")
         if sequences is not None and int(text) not in sequences:
             raise ValueError(
                 f"{path}: line {line}: frame: expected one of the {len(sequences)} frames here, got {text}"
             )
         frames.add(int(text))
-        named = row[sequence_column] if 0 <= sequence_column < len(row) else ""
+        named = row[sequence_column] if sequence_column >= 0 else ""
         known = (sequences or {}).get(int(text), named)
         if named not in ("", known):
             raise ValueError(

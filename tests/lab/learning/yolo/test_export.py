@@ -19,6 +19,7 @@ from foreglow.datasets import PVDN
 from foreglow.lab.learning.annotation import label_boxes
 from foreglow.lab.learning.yolo import export as export_module
 from foreglow.lab.learning.yolo.export import export_yolo, is_export, label_lines, positive_boxes, read_export, squashed
+from foreglow.own_folders import UNFINISHED_EXPORT
 from foreglow.proposals import make_proposer
 from foreglow.whole_files import write_atomic
 from tests.datasets.tiny_pvdn import IDS, make_pvdn, write
@@ -107,7 +108,7 @@ def test_what_was_changed_in_an_export_is_neither_counted_nor_replaced(
     for call in (lambda: export_yolo(annotated, tmp_path / "out", size_px=48), lambda: read_export(tmp_path / "out")):
         with pytest.raises(
             ValueError,
-            match=rf"{name}: expected the (file that was exported|checksums of what Foreglow wrote here), got",
+            match=rf"{name}: expected (the file that Foreglow wrote|checksums of what Foreglow wrote here), got",
         ):
             call()
     assert {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()} == before
@@ -142,7 +143,7 @@ def test_an_export_that_is_killed_while_it_replaces_an_earlier_one_goes_on(
         moves = itertools.count()
 
         def replaced(path: Path, target: Path, moves: itertools.count[int] = moves, last: int = num_moves) -> Path:
-            if export_module.WORK_NAME in path.parts and target.parent != path.parent and next(moves) == last:
+            if UNFINISHED_EXPORT in path.parts and target.parent != path.parent and next(moves) == last:
                 raise KeyboardInterrupt
             return replace(path, target)
 

@@ -21,17 +21,23 @@ from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
 from foreglow.lab.learning.kept_files import checksum
-from foreglow.own_folders import CHECKSUMS, announce, check_new, check_unchanged, checksums_file, missing_files
+from foreglow.own_folders import (
+    CHECKSUMS,
+    EXPORT,
+    UNFINISHED_EXPORT,
+    announce,
+    check_new,
+    check_unchanged,
+    checksums_file,
+    missing_files,
+)
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
 from foreglow.wording import check_one_of
 
 CLASS_NAME = "light_artifact"
-SETTINGS_NAME, DATA_NAME = "export.json", "data.yaml"
-
-WORK_NAME = ".export.partial"
-"""Folder for what is exported until all of it is there."""
+DATA_NAME = "data.yaml"
 
 PAPER_SIZE_PX = 960
 """Side of YOLO's images in the paper. Source: published conversion script."""
@@ -123,11 +129,11 @@ def export_yolo(
             export, checksums = _exported(folder, settings, wanted, proposer, progress)
             announce(folder, checksums)
         except Exception:
-            shutil.rmtree(folder / WORK_NAME, ignore_errors=True)
+            shutil.rmtree(folder / UNFINISHED_EXPORT, ignore_errors=True)
             raise
-        for part in (SETTINGS_NAME, "images", "labels", CHECKSUMS, DATA_NAME):
-            _move(folder / WORK_NAME / part, folder / part)
-        (folder / WORK_NAME).rmdir()
+        for part in (EXPORT, "images", "labels", CHECKSUMS, DATA_NAME):
+            _move(folder / UNFINISHED_EXPORT / part, folder / part)
+        (folder / UNFINISHED_EXPORT).rmdir()
     return export
 
 
@@ -143,12 +149,12 @@ def _exported(
     Returns:
         What is exported then, and the checksums of all its images and label files.
     """
-    work = folder / WORK_NAME
+    work = folder / UNFINISHED_EXPORT
     known = check_unchanged(folder)
     if not _has_begun(work, settings):
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
-        write_atomic(work / SETTINGS_NAME, (settings.model_dump_json(indent=1) + "\n").encode())
+        write_atomic(work / EXPORT, (settings.model_dump_json(indent=1) + "\n").encode())
     datasets = {name: open_labelled(found) for name, found in splits.items()}
     num_images = sum(len(dataset) for dataset in datasets.values())
     num_done, num_boxes = 0, dict.fromkeys(datasets, 0)
@@ -207,10 +213,10 @@ def read_export(folder: Path) -> ExportSettings:
         FileNotFoundError: If there is none, it was interrupted, or a file of it is gone.
         ValueError: If its settings are broken, or a file of it was changed since.
     """
-    for name in (SETTINGS_NAME, DATA_NAME):
+    for name in (EXPORT, DATA_NAME):
         if not (folder / name).is_file():
             raise FileNotFoundError(f"{folder / name}: no such file, expected a complete export of `export-yolo`")
-    settings = read_json(folder / SETTINGS_NAME, ExportSettings)
+    settings = read_json(folder / EXPORT, ExportSettings)
     check_unchanged(folder)
     for path in missing_files(folder):
         raise FileNotFoundError(f"{path}: no such file, expected a complete export of `export-yolo`")
@@ -219,7 +225,7 @@ def read_export(folder: Path) -> ExportSettings:
 
 def is_export(folder: Path) -> bool:
     """Whether `folder` holds an export, complete or not, rather than a data set."""
-    return any((home / SETTINGS_NAME).is_file() for home in (folder, folder / WORK_NAME))
+    return any((home / EXPORT).is_file() for home in (folder, folder / UNFINISHED_EXPORT))
 
 
 def positive_boxes(dataset: LabelledSource, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:
@@ -277,7 +283,7 @@ def squashed(image: Image, size_px: int, origin: str = "") -> NDArray[np.uint8]:
 
 def _claim(folder: Path, settings: ExportSettings) -> None:
     """ValueError if `folder` holds an export with other settings, another data set, or anything else."""
-    path = folder / SETTINGS_NAME
+    path = folder / EXPORT
     if path.exists():
         check_claim(path, settings, read_json(path, ExportSettings), "export")
     else:
@@ -291,7 +297,7 @@ def _claim(folder: Path, settings: ExportSettings) -> None:
 def _has_begun(work: Path, settings: ExportSettings) -> bool:
     """Whether an export with these settings, which was interrupted or killed, is in the folder `work`."""
     with contextlib.suppress(FileNotFoundError, ValueError):
-        return read_json(work / SETTINGS_NAME, ExportSettings) == settings
+        return read_json(work / EXPORT, ExportSettings) == settings
     return False
 
 

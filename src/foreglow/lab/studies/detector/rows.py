@@ -17,6 +17,7 @@ from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_confi
 from foreglow.datasets import SplitName, open_labelled, split_folder
 from foreglow.files import MAX_JSON_BYTES, file_digest, read_bytes, read_plain_json
 from foreglow.lab.studies.progress import Progress
+from foreglow.own_folders import CHECKSUMS
 from foreglow.wording import shortened
 
 if TYPE_CHECKING:
@@ -299,6 +300,8 @@ def split_digest(split: Path) -> str:
     digest = hashlib.sha256()
     dataset = open_labelled(split)
     for path in sorted((dataset.root / "labels").rglob("*.json")):
+        if path.name == CHECKSUMS:  # they say nothing new
+            continue
         digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + read_bytes(path, MAX_JSON_BYTES))
     for image_id in dataset.frame_ids:
         path = dataset.image_path(image_id)
