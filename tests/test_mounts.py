@@ -1,4 +1,4 @@
-"""The camera of a frame is one on a vehicle that looks ahead, wherever it comes from."""
+"""The camera of a frame is for its size, on a vehicle, and looks ahead, wherever it comes from."""
 
 from __future__ import annotations
 
@@ -30,3 +30,10 @@ def test_a_camera_may_be_turned_to_the_limit() -> None:
         pose = Pose(np.array([-30.0, 10.0, 10.0]), rotation(*turn))
         camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, pose)
         assert Frame(np.zeros((4, 8), np.uint8), 0, camera=camera).camera is camera
+
+
+def test_a_frame_refuses_the_calibration_of_another_size() -> None:
+    camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
+    assert Frame(np.zeros((4, 8), np.uint8), 0, camera=camera).camera is camera
+    with pytest.raises(ValueError, match=r"a.png: Frame.camera: expected .* 16x8 px, got one for 8x4 px"):
+        Frame(np.zeros((8, 16), np.uint8), 0, path="a.png", camera=camera)

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from foreglow.geometry import Camera, Pose
 from foreglow.types import (
     BeamCommand,
     BeamMode,
@@ -280,13 +279,6 @@ def test_a_command_refuses_unfit_fields(field: str, value: Any, complaint: str) 
 def test_only_a_glare_free_beam_has_gaps() -> None:
     with pytest.raises(ValueError, match=r"^BeamCommand\.gaps_rad: expected none with full beam, got 2$"):
         command(mode=BeamMode.FULL, levels=np.ones((2, 3)))
-
-
-def test_a_frame_refuses_the_calibration_of_another_size() -> None:
-    camera = Camera(8, 4, (9.0, 9.0), (4.0, 2.0), (0.0,) * 5, Pose(np.array([1.9, 0.0, 1.3]), np.eye(3)))
-    assert Frame(np.zeros((4, 8), np.uint8), 0, camera=camera).camera is camera
-    with pytest.raises(ValueError, match=r"a.png: Frame.camera: expected .* 16x8 px, got one for 8x4 px"):
-        Frame(np.zeros((8, 16), np.uint8), 0, path="a.png", camera=camera)
 
 
 DETECTED = Detections(Proposals(BOXES), np.array([0.5, 0.9], np.float32), 0.34)

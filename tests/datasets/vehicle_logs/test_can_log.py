@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets.vehicle_logs import read_can_log, write_can_log
-from foreglow.datasets.vehicle_logs.can_log import read_dbc
+from foreglow.datasets.vehicle_logs.can_log import read_dbc, read_mapping
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.street_data import StreetDataError, StreetMap
@@ -362,6 +362,13 @@ def test_a_log_of_half_a_motion(tmp_path: Path, sent: str, missing: str) -> None
     log.write_text(f"(1.0) can0 {sent}#D007\n(1.1) can0 {sent}#D007\n")
     with pytest.raises(ValueError, match=rf"drive\.log: expected frames of {missing}, got none"):
         read_can_log(log, tmp_path / "car.dbc", tmp_path / "car.toml")
+
+
+def test_a_bus_without_a_name_is_refused(tmp_path: Path) -> None:
+    """No frame came from it."""
+    (tmp_path / "car.toml").write_text('bus = ""\n[speed]\nmessage = "Pace"\nsignal = "Speed"\n')
+    with pytest.raises(ValueError, match=r"car\.toml: bus: .*at least 1 character, got ''"):
+        read_mapping(tmp_path / "car.toml")
 
 
 def test_a_log_of_another_bus(tmp_path: Path) -> None:

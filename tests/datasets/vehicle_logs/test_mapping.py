@@ -233,12 +233,6 @@ def test_a_speed_beyond_the_range_of_the_dbc_counts_as_not_sent(tmp_path: Path) 
         assert (speed_of(decoder_of(tmp_path, with_pace(pair, "km/h")), code) is not None) == is_known, (pair, code)
 
 
-def test_a_bus_without_a_name_is_refused(tmp_path: Path) -> None:
-    """No frame came from it."""
-    with pytest.raises(ValueError, match=r"car\.toml: bus: .*at least 1 character, got ''"):
-        decoder_of(tmp_path, mapping='bus = ""\n' + MAPPING)
-
-
 @pytest.mark.parametrize("pair", ["[300|0]", "[300|300]", "[-1|-1]"])
 def test_a_range_without_values_is_refused(tmp_path: Path, pair: str) -> None:
     with pytest.raises(ValueError, match=r"car\.dbc: Dynamics: Pace: expected a range that rises"):
