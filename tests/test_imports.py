@@ -99,7 +99,8 @@ ALLOWED: dict[str, set[str]] = {
     "lab.learning": CAR | {"models", "folder_lock", "outputs", "own_folders", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"outputs", "own_folders", "lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR
-    | {"models", "command_line", "options", "lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
+    | {"models", "command_line", "options", "own_folders"}
+    | {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
     "cli": CAR | LAB | {"command_line", "options", "folder_lock", "outputs", "own_folders", "foreglow"},
 }

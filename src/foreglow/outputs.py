@@ -229,7 +229,7 @@ def _check_writer(name: str, folder: Path) -> None:
     for mark, kind in KINDS.items():
         if kind.commands and is_mark(folder / mark) and not command.startswith(kind.commands):
             raise ValueError(_words_on_writer(name, folder, kind.commands[0], mark))
-    if command not in COLLECTING and _has_split(folder):
+    if command not in COLLECTING and _is_data_set(folder):
         raise ValueError(f"{name} {folder}: expected another folder for the results than that of a data set")
     if command == "simulate" and _is_split(folder):
         raise ValueError(f"{name} {folder}: expected a folder for splits, this is one; name another, or one around it")
@@ -274,6 +274,14 @@ def _is_split(folder: Path) -> bool:
     from foreglow.datasets.pvdn import is_split  # only here: the help comes without NumPy
 
     return is_split(folder)
+
+
+def _is_data_set(folder: Path) -> bool:
+    """Whether a folder is a split in PVDN's format, or one of a data set with its splits or those of its cycles."""
+    from foreglow.datasets.pvdn.schema import Cycle  # only here: the help comes without NumPy
+    from foreglow.datasets.pvdn.splits import SPLIT_NAMES
+
+    return any(_is_split(folder / cycle / name) for cycle in ("", *Cycle) for name in ("", *SPLIT_NAMES))
 
 
 def _has_split(folder: Path) -> bool:

@@ -119,11 +119,15 @@ def test_same_image_again(most: int) -> None:
     assert not next_check(guard, frame_at(31)).faults
 
 
-@pytest.mark.parametrize(("share", "is_low"), [(0.2, False), (0.3, True), (1.0, True)])
-def test_saturated_image(share: float, is_low: bool) -> None:
+@pytest.mark.parametrize(
+    ("share", "fault"),
+    [(0.04, None), (0.2, GuardFault.DAMAGED), (0.3, GuardFault.SATURATED), (1.0, GuardFault.SATURATED)],
+)
+def test_saturated_image(share: float, fault: GuardFault | None) -> None:
+    """A part that is suddenly white may be filled."""
     image = IMAGES[1].copy()
     image[: round(955 * share)] = 255  # off the grid of encoders
-    assert next_check(running(), frame_at(25, image=image)).faults == ((GuardFault.SATURATED,) if is_low else ())
+    assert next_check(running(), frame_at(25, image=image)).faults == (fault,)
 
 
 @pytest.mark.parametrize(

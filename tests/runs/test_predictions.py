@@ -71,7 +71,7 @@ def test_the_published_form(tmp_path: Path) -> None:
         ([_LINE, _LINE | {"frame": 8, "scores": None}], "line 2: scores: expected in every line or in none"),
         (
             [_LINE | {"proposals_xyxy_px": [[1, 2, 3]]}],
-            "line 1: proposals_xyxy_px.0: List should have at least 4",
+            "line 1: proposals_xyxy_px.0: expected at least 4 entries, got 3",
         ),
         (
             [_LINE | {"proposals_xyxy_px": [[1, 2, 3, 4], [9, 9, 1, 1]]}],

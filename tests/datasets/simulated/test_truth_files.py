@@ -137,7 +137,7 @@ def _edit_frame(root: Path, *keys: str | int, value: object) -> None:
         (("image_id",), 10007, r"line 2: image_id: expected 10001, got 10007"),
         (("category",), 9, r"line 2: category: expected 0, 1, 2.*, got 9"),
         (("vehicles", 0, "artifacts", 0, "kind"), "moon", r"artifacts\.0\.kind: expected 'lamp', .*, got 'moon'"),
-        (("vehicles", 0, "candidates", 0), [1, 2.0], r"vehicles\.0\.candidates\.0\.2: field is missing"),
+        (("vehicles", 0, "candidates", 0), [1, 2.0], r"vehicles\.0\.candidates\.0\.2: expected one more entry"),
         (("street", "error_class"), 6, r"street\.error_class: .* less than 6, got 6"),
     ],
 )
