@@ -33,7 +33,7 @@ from foreglow.files import (
     to_json,
     write_json_results,
 )
-from foreglow.lab.learning.kept_files import check_torch_file, checksum, image_state
+from foreglow.lab.learning.kept_files import check_torch_file, file_checksum, image_state
 from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
 from tests.pipes import ENDLESS, soon
 
@@ -279,7 +279,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, kind: str) -> None:
     ENDLESS[kind](pipe)
     with soon():
         write_atomic(tmp_path / "c.json", b"whole")
-        for read in (file_digest, checksum, image_state, check_torch_file):
+        for read in (file_digest, file_checksum, image_state, check_torch_file):
             with pytest.raises(ValueError, match=f"tmp: expected a file, is {kind}$"):
                 read(pipe)
 

@@ -64,7 +64,8 @@ ALLOWED: dict[str, set[str]] = {
     "display": VALUES | {"own_files", "files", "whole_files", "plugins", "datasets", "runs", "runtime"},
     "folder_lock": set(),
     "own_files": {"whole_files"},
-    "own_folders": {"own_files", "whole_files"},
+    "checksums": {"whole_files"},
+    "own_folders": {"checksums", "own_files", "whole_files"},
     "outputs": {"own_folders", "files", "whole_files", "own_files", "datasets"},
     "inputs": {"files", "outputs", "own_folders"},
     "command_line": {"files", "inputs", "folder_lock", "outputs", "own_folders", "own_files"},
@@ -95,11 +96,12 @@ ALLOWED: dict[str, set[str]] = {
         "runtime",
         "display",
     },
-    "lab.evaluation": CAR | {"outputs", "own_folders"},
-    "lab.learning": CAR | {"models", "folder_lock", "outputs", "own_folders", "lab.simulation", "lab.evaluation"},
-    "lab.reports": CAR | {"outputs", "own_folders", "lab.simulation", "lab.evaluation", "lab.learning"},
+    "lab.evaluation": CAR | {"checksums", "outputs", "own_folders"},
+    "lab.learning": CAR
+    | {"models", "folder_lock", "checksums", "outputs", "own_folders", "lab.simulation", "lab.evaluation"},
+    "lab.reports": CAR | {"checksums", "outputs", "own_folders", "lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR
-    | {"models", "command_line", "options", "own_folders"}
+    | {"models", "command_line", "options", "checksums"}
     | {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
     "cli": CAR | LAB | {"command_line", "options", "folder_lock", "outputs", "own_folders", "foreglow"},

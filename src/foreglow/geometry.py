@@ -225,15 +225,23 @@ def check_mount(vehicle_from_camera: Pose, field: str) -> None:
         ValueError: If its position is beyond `MAX_MOUNT_M` or not above the road, or an angle is beyond `MAX_TURN_DEG`;
             the message begins with `field`.
     """
+    fault = _mount_fault(vehicle_from_camera)
+    if fault:
+        raise ValueError(f"{field}.{fault}")
+
+
+@lru_cache(maxsize=8)  # a camera is that of many frames
+def _mount_fault(vehicle_from_camera: Pose) -> str:
     position_m = vehicle_from_camera.position_m
     if not ((np.abs(position_m) <= MAX_MOUNT_M).all() and position_m[2] > 0.0):
         ahead_m, aside_m, above_m = MAX_MOUNT_M
         expected = f"at most {ahead_m:g} m from the rear axle, {aside_m:g} m from the middle, 0 to {above_m:g} m high"
-        raise ValueError(f"{field}.position_m: expected a camera {expected}, got {position_m.tolist()}")
+        return f"position_m: expected a camera {expected}, got {position_m.tolist()}"
     angles_deg = np.degrees(rotation_angles_rad(vehicle_from_camera.rotation))
     if np.abs(angles_deg).max() > MAX_TURN_DEG + 1e-6:
         expected = f"yaw, pitch and roll of at most {MAX_TURN_DEG:g} degrees"
-        raise ValueError(f"{field}.rotation: expected {expected}, got {', '.join(f'{a:.1f}' for a in angles_deg)}")
+        return f"rotation: expected {expected}, got {', '.join(f'{angle:.1f}' for angle in angles_deg)}"
+    return ""
 
 
 def check_centre(centre_px: tuple[float, float], size_px: tuple[int, int], field: str) -> None:

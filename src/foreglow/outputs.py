@@ -277,7 +277,10 @@ def _is_split(folder: Path) -> bool:
 
 
 def _is_data_set(folder: Path) -> bool:
-    """Whether a folder is a split in PVDN's format, or one of a data set with its splits or those of its cycles."""
+    """Whether a folder is a split in PVDN's format, or one of a data set with its splits or those of its cycles.
+
+    Unlike `_has_split`, a folder with a data set beside other things is none, so that results may go there.
+    """
     from foreglow.datasets.pvdn.schema import Cycle  # only here: the help comes without NumPy
     from foreglow.datasets.pvdn.splits import SPLIT_NAMES
 

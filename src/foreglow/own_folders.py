@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import zlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from foreglow.checksums import CHECKSUMS
 from foreglow.own_files import is_left, is_own, is_result_of_run, is_row
-from foreglow.whole_files import partial_path, together, write_atomic
+from foreglow.whole_files import check_replaceable, partial_path
 
 RESULT_NAMES = (
     "frames.jsonl",
@@ -41,16 +40,6 @@ RESULT_FILES = (
     "scenes.jsonl",
 )
 """Names that commands write into their output folders. An input of such a name in that folder would be lost."""
-
-CHECKSUMS = "checksums.json"
-"""The file with the CRC-32 of those of an export, of `annotate`, a training or a search, by their paths: lists, for
-what is there meanwhile."""
-
-MAX_CHECKSUMS_BYTES = 1 << 28
-"""Largest such file: four million files."""
-
-_PIECE = 1 << 20
-"""Bytes that are read at once."""
 
 REPORT_SUFFIXES = (".csv", ".html", ".jpg", ".json", ".jsonl", ".md", ".mp4", ".png", ".toml")
 """How the names of a report's files end; they vary."""
@@ -138,18 +127,6 @@ def is_mark(path: Path) -> bool:
     return is_own(path) if path.name in (EXPORT, CHECKSUMS) else path.is_file()
 
 
-def check_replaceable(path: Path) -> None:
-    """Checks that there is a file or nothing at `path`, and at where it is written until it is whole.
-
-    Raises:
-        ValueError: If there is a folder, a device, a pipe or a socket.
-    """
-    for there in (path, partial_path(path)):
-        if there.exists() and not there.is_file():
-            kind = "a folder" if there.is_dir() else "a device, a pipe or a socket"
-            raise ValueError(f"{there}: expected a file to write, or nothing, got {kind}")
-
-
 def check_own(folder: Path, mark: str) -> None:
     """Checks that a folder has no file with the name of a result but those of an earlier run, training or search.
 
@@ -203,126 +180,6 @@ def check_made_together(files: Sequence[Path]) -> None:
     there = [path for path in files if path.exists()]
     if there and len(there) < len(files):
         raise ValueError(_words_on_foreign(there[0]))
-
-
-def check_unchanged(
-    folder: Path,
-    names: Collection[str] | None = None,
-    remedy: str = "choose another folder, or remove it and export again",
-) -> dict[str, int]:
-    """The checksums of the files that a command has written into `folder`, by their paths there, and nobody changed.
-
-    Those that are gone are left out; an export of an early version has no checksums.
-
-    Args:
-        folder: The folder.
-        names: Only these files; None for all.
-        remedy: What to do about a changed one, for the message.
-
-    Raises:
-        ValueError: If somebody has changed one, or the record of the checksums; the message names it.
-        OSError: If one cannot be read.
-    """
-    known = _known_checksums(folder)
-    found = {}
-    for name in known if names is None else [name for name in names if name in known]:
-        path = folder / name
-        if path.is_file():
-            found[name] = _checksum(path)
-            if found[name] not in known[name]:
-                raise ValueError(
-                    f"{path}: expected the file that Foreglow wrote, got a changed one, which stays; {remedy}"
-                )
-    return found
-
-
-def missing_files(folder: Path) -> list[Path]:
-    """The files that an export has written into `folder`, and that are no longer there."""
-    return [folder / name for name in _known_checksums(folder) if not (folder / name).is_file()]
-
-
-def announce(folder: Path, checksums: Mapping[str, int]) -> None:
-    """Adds to a record of checksums that is there what will replace its files, which are then known in either state.
-
-    Raises:
-        OSError: If the record cannot be written.
-    """
-    if (folder / CHECKSUMS).is_file():
-        _announce(folder, checksums)
-
-
-def _announce(folder: Path, checksums: Mapping[str, int]) -> None:
-    known = _known_checksums(folder)
-    both = known | {name: [*known.get(name, []), checksum] for name, checksum in checksums.items()}
-    write_atomic(folder / CHECKSUMS, json.dumps(both, indent=0, sort_keys=True).encode())
-
-
-def check_as_written(folder: Path, names: Collection[str]) -> None:
-    """Checks that files which are to be replaced are those that `replace_results` wrote, and nobody changed.
-
-    Args:
-        folder: Their folder, which need not be there.
-        names: Theirs; files that are missing or empty pass.
-
-    Raises:
-        ValueError: If one is another, or it is not known who wrote it; the message names it.
-        OSError: If one cannot be read.
-    """
-    check_replaceable(folder / CHECKSUMS)
-    known = _known_checksums(folder)
-    for path in (folder / name for name in names):
-        if path.is_file() and path.stat().st_size and _checksum(path) not in known.get(path.name, []):
-            raise ValueError(
-                f"{path}: expected the file as this command wrote it, by {CHECKSUMS} beside it, got another or a "
-                "changed one, which stays; choose another folder, or move it"
-            )
-
-
-def replace_results(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Writes files by their names into `folder`, all or none, where nothing or what this wrote before is replaced.
-
-    Raises:
-        ValueError: As `check_as_written`.
-        OSError: If one cannot be written; the message names it.
-    """
-    check_as_written(folder, files)
-    checksums = {name: zlib.crc32(data) for name, data in files.items()}
-    _announce(folder, checksums)  # first, so that all are known after a kill
-    with together():
-        for name, data in files.items():
-            write_atomic(folder / name, data)
-        write_atomic(folder / CHECKSUMS, checksums_file(checksums, folder))
-
-
-def checksums_file(checksums: Mapping[str, int], folder: Path | None = None) -> bytes:
-    """The record of an export with these checksums, and those of the other files of an earlier one in `folder`."""
-    known = {} if folder is None else _known_checksums(folder)
-    return json.dumps(
-        known | {name: [checksum] for name, checksum in checksums.items()}, indent=0, sort_keys=True
-    ).encode()
-
-
-def _known_checksums(folder: Path) -> dict[str, list[int]]:
-    path = folder / CHECKSUMS
-    if not path.is_file():
-        return {}
-    try:
-        known = json.loads(path.read_bytes() if path.stat().st_size <= MAX_CHECKSUMS_BYTES else b"")
-        if all(isinstance(sums, list) and all(isinstance(each, int) for each in sums) for sums in known.values()):
-            return dict(known)
-    except (ValueError, RecursionError, AttributeError):  # the file may be anything
-        pass
-    raise ValueError(
-        f"{path}: expected checksums of what Foreglow wrote here, got something else; choose another folder"
-    )
-
-
-def _checksum(path: Path) -> int:
-    found = 0
-    with path.open("rb") as file:
-        while piece := file.read(_PIECE):
-            found = zlib.crc32(piece, found)
-    return found
 
 
 def _words_on_foreign(path: Path) -> str:

@@ -316,6 +316,18 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.name}{PARTIAL}")
 
 
+def check_replaceable(path: Path) -> None:
+    """Checks that there is a file or nothing at `path`, and at where it is written until it is whole.
+
+    Raises:
+        ValueError: If there is a folder, a device, a pipe or a socket.
+    """
+    for there in (path, partial_path(path)):
+        if there.exists() and not there.is_file():
+            kind = "a folder" if there.is_dir() else "a device, a pipe or a socket"
+            raise ValueError(f"{there}: expected a file to write, or nothing, got {kind}")
+
+
 def output_words(error: OSError) -> str:
     """What an error about a file says, with the name that the file gets when it is whole, or that of its folder.
 

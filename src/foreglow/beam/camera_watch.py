@@ -9,7 +9,7 @@ import numpy as np
 
 from foreglow.beam.faults import GuardFault
 from foreglow.beam.image_change import ImageChange, ImageComparer
-from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage
+from foreglow.beam.image_damage import FRESH_SHARE, NUM_RECENT, ImageDamage, ValueShares
 from foreglow.beam.image_pieces import DARK, MAX_NOISE_CONTRAST, NEAR_TOP, ImagePieces, PieceMeasures, middle
 from foreglow.beam.image_stripes import ImageStripes
 from foreglow.beam.known_images import KnownImages
@@ -149,18 +149,10 @@ class CameraWatch:
         if is_frozen or is_feigned or (known.is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
         if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
-            one_value = _share_of_one_value(sample, top)
+            values = ValueShares(_share_of_one_value(sample, top), int(num_white) / sample.size)
             is_still = self._stillness.is_still
             is_damaged |= self._damage.update(
-                change,
-                pieces,
-                one_value,
-                int(num_white) / sample.size,
-                known,
-                stripes,
-                self._time_ns / 1e9,
-                is_still=is_still,
-                is_moving=is_moving,
+                change, pieces, values, known, stripes, self._time_ns / 1e9, is_still=is_still, is_moving=is_moving
             )
             if not is_damaged:
                 self._comparer.keep()

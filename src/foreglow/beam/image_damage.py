@@ -10,7 +10,7 @@ import math
 import statistics
 from collections import deque
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,12 +102,12 @@ moves; noise alone gives 1. Measured: in both of two images .06 and .03 at most 
 videos of motorways; where every second row or column is stuck or black behind MJPEG, .08 or .4 and more."""
 
 WORDS_RISE, MANY_WORDS_RISE, NOISY_WORDS_SHARE, MIN_WORDS = 0.1, 0.3, 0.08, 200
-"""Damage: in two images `share_words` or `share_words_above` exceeds the greatest usual one by more than the first
-number, or the second where the contrast has fallen, where that was no more than the third one and the noise of each
-usual image was new; of at least so many words. So small parts of the image just before are found, at whatever places in
-each image (where `RAW_SHARE` holds: else an encoder may leave most of an image as it was), and parts whose rows are
-alike. Measured: intact raw images, MJPEG and 0.36 bits a pixel .06 at most, raw also at an eighth of the light; within
-a second it rises by .007 at most, .08 where nine tenths of the light go."""
+"""Damage: in two images `share_before` or `share_above` of `KnownWords` exceeds the greatest usual one by more than the
+first number, or the second where the contrast has fallen, where that was no more than the third one and the noise of
+each usual image was new; of at least so many words. So small parts of the image just before are found, at whatever
+places in each image (where `RAW_SHARE` holds: else an encoder may leave most of an image as it was), and parts whose
+rows are alike. Measured: intact raw images, MJPEG and 0.36 bits a pixel .06 at most, raw also at an eighth of the
+light; within a second it rises by .007 at most, .08 where nine tenths of the light go."""
 
 CONTRAST_STAYS = 0.6
 """But this does not begin where `contrast` has fallen below this share of the usual one: with the light, the noise ends
@@ -131,6 +131,18 @@ then no part of the image changes less than others. So it is raw, in MJPEG and a
 parts of the change, as of a bonnet, does so now here, now there."""
 
 
+class ValueShares(NamedTuple):
+    """What shares of an image's samples have certain values.
+
+    Attributes:
+        one_value: The one value that most of those have that are neither dark nor white.
+        white: White.
+    """
+
+    one_value: float
+    white: float
+
+
 class ImageDamage:
     """Whether an image has what no camera sees: edges on an encoder's grid, repeated rows, filled or stuck parts.
 
@@ -151,8 +163,7 @@ class ImageDamage:
         self,
         change: ImageChange | None,
         pieces: PieceMeasures,
-        one_value: float,
-        white: float,
+        values: ValueShares,
         known: KnownParts,
         stripes: Floats | None,
         time_s: float,
@@ -165,8 +176,7 @@ class ImageDamage:
         Args:
             change: What differs from the image before.
             pieces: What the pieces of its rows say.
-            one_value: Share of the image with one and the same value, neither dark nor white.
-            white: Share of the image that is white.
+            values: What shares of it have one value, or are white.
             known: What of the image was there before.
             stripes: How much its rows and columns differ in turn.
             time_s: The time of the image, by a clock that never goes back.
@@ -177,8 +187,7 @@ class ImageDamage:
             self._forget_changes()
         else:
             has_edges = change.share_new_edges > NEW_EDGES_SHARE and change.edge_deviations > EDGE_DEVIATIONS
-            is_unusual = self._has_unusual_content(change, pieces, one_value, time_s)
-            is_unusual |= _has_risen(white, self._white, WHITE_SHARE)
+            is_unusual = self._has_unusual_content(change, pieces, values, time_s)
             is_unusual |= self._is_never_so(change, pieces, known, is_still=is_still or is_moving is False)
             if not is_still:
                 has_old_parts, had_old_parts = self.has_old_parts(known), self._old_parts.is_latest
@@ -191,8 +200,7 @@ class ImageDamage:
             if is_unusual or has_edges:
                 self._damaged_s = time_s
             if not (is_unusual or is_still):
-                self._learn(change, pieces, one_value, known, stripes, time_s)
-                self._white.append(white)
+                self._learn(change, pieces, values, known, stripes, time_s)
                 self._unusual_s = 0.0
             else:
                 self._unusual_s += time_s - self._before_s
@@ -243,9 +251,13 @@ class ImageDamage:
         is_noisy &= self._num_since_single >= NUM_RECENT
         return is_noisy and not known.is_repeated and known.share > KNOWN_SHARE
 
-    def _has_unusual_content(self, change: ImageChange, pieces: PieceMeasures, one_value: float, time_s: float) -> bool:
+    def _has_unusual_content(
+        self, change: ImageChange, pieces: PieceMeasures, values: ValueShares, time_s: float
+    ) -> bool:
         """Whether the image itself is not as recent ones are, or the second one where one may be so by chance."""
-        is_unusual = _has_risen(one_value, self._one_value, ONE_VALUE_SHARE) or pieces.share_twice > TWICE_SHARE
+        is_unusual = pieces.share_twice > TWICE_SHARE
+        is_unusual |= _has_risen(values.one_value, self._one_value, ONE_VALUE_SHARE)
+        is_unusual |= _has_risen(values.white, self._white, WHITE_SHARE)
         if len(self._repeated) >= 2:
             for share, recent in (
                 (change.share_repeated, self._repeated),
@@ -309,10 +321,10 @@ class ImageDamage:
     def _has_old_words(self, change: ImageChange, known: KnownParts) -> bool:
         """Whether more words than usual are as in the image just before, or as above, in the light there was."""
         usual = _older(self._words)
-        if len(usual) < NUM_RECENT or known.num_words < MIN_WORDS:
+        if len(usual) < NUM_RECENT or known.words.num < MIN_WORDS:
             return False
         most = np.max(usual, axis=0)
-        shares = np.array([known.share_words, known.share_words_above])
+        shares = np.array([known.words.share_before, known.words.share_above])
         changes = _older(self._changes)
         is_noisy = min(each.share_changed for each in changes) > FRESH_SHARE
         could_be = is_noisy & np.array([self._is_raw(), True]) & (most <= NOISY_WORDS_SHARE)
@@ -335,7 +347,7 @@ class ImageDamage:
         self,
         change: ImageChange,
         pieces: PieceMeasures,
-        one_value: float,
+        values: ValueShares,
         known: KnownParts,
         stripes: Floats,
         time_s: float,
@@ -345,7 +357,8 @@ class ImageDamage:
         self._repeated_columns.append(pieces.share_repeated_columns)
         self._flat.append(change.share_flat_rows)
         self._rough.append(pieces.share_rough)
-        self._one_value.append(one_value)
+        self._one_value.append(values.one_value)
+        self._white.append(values.white)
         self._changes.append(change)
         if self._old_parts.is_latest:  # of a fault the first; where an encoder sends next to nothing of an image, alone
             self._is_single = True
@@ -359,7 +372,7 @@ class ImageDamage:
         if not self._striped.is_latest:
             self._stripes.append(stripes)
         if not self._old_words.is_latest:
-            self._words.append((known.share_words, known.share_words_above))
+            self._words.append((known.words.share_before, known.words.share_above))
         if not self._has_pairs:
             self._pair_ratios.append(change.pair_ratios)
         if np.count_nonzero(self._could_be_stuck) < NUM_STUCK_TILES:

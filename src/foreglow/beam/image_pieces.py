@@ -163,25 +163,29 @@ class ImagePieces:
 
 
 def _is_noise(means: Floats, before: Floats) -> bool:
-    """Whether the means of the pieces have changed as noise changes them."""
+    """Whether the means of the pieces, shape (rows, pieces in a row), have changed as noise changes them."""
     changes = means - before
     drift = abs(np.median(changes))
     changes = np.abs(changes).ravel()
     median, strong = _median_and_strong(changes)
-    if not median > max(LEAST_NOISE, DRIFT_RATIO * drift):
+    if not median > max(LEAST_NOISE, DRIFT_RATIO * drift) or strong >= UNEVEN_RATIO * median:
         return False
-    if strong < NOISE_RATIO * median or not strong < UNEVEN_RATIO * median:
-        return bool(strong < NOISE_RATIO * median)
+    return strong < NOISE_RATIO * median or _is_noise_of_light(changes, (means + before).ravel())
+
+
+def _is_noise_of_light(changes: Floats, brightness: Floats) -> bool:
+    """Whether changes of pieces, shape (N,), are alike among those of like brightness, shape (N,)."""
     num_groups = changes.size // NUM_ALIKE
     if num_groups < MIN_GROUPS:
         return False
-    order = np.argsort((means + before).ravel())[-num_groups * NUM_ALIKE :]
+    order = np.argsort(brightness)[-num_groups * NUM_ALIKE :]
     groups = changes[order].reshape(num_groups, NUM_ALIKE)
     medians = np.maximum(np.median(groups, axis=1, keepdims=True), LEAST_NOISE)
-    return bool(_median_and_strong((groups / medians).ravel())[1] < ALIKE_RATIO)
+    return _median_and_strong((groups / medians).ravel())[1] < ALIKE_RATIO
 
 
 def _median_and_strong(changes: Floats) -> tuple[float, float]:
+    """The median of changes, shape (N,), and the change that `STRONG_SHARE` of them exceed."""
     half, strong = changes.size // 2, int((1.0 - STRONG_SHARE) * (changes.size - 1))
     found = np.partition(changes, (half, strong))
     return float(found[half]), float(found[strong])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,21 @@ COMES_BACK_SHARE = 0.2
 WORD_BYTES = 8
 
 
+class KnownWords(NamedTuple):
+    """What of the words of an image, eight bytes of a row each, comes again; those of a single value do not count.
+
+    Attributes:
+        num: How many there are.
+        share_before: Share of them that the image just before had at the same place, whichever places these are.
+        share_above: Share of them, but for the first row, that the row above has at the same place, of the rows that
+            are looked at.
+    """
+
+    num: int
+    share_before: float
+    share_above: float
+
+
 @dataclass(frozen=True, slots=True)
 class KnownParts:
     """What of an image was there before.
@@ -36,19 +52,14 @@ class KnownParts:
         share_earlier: The same, but for the pieces that are those of the image just before, as an encoder leaves them.
         is_repeated: Whether the whole image was there before, but for what is written into its border.
         is_back: Whether it was, and another one came between.
-        num_words: Words of eight bytes, a few pixels side by side, that have more than a single value.
-        share_words: Share of these that the image just before had at the same place, whichever places these are.
-        share_words_above: Share of these, but for the first row, that the row above has at the same place, of the rows
-            looked at.
+        words: What of its words comes again.
     """
 
     share: float
     share_earlier: float
     is_repeated: bool
     is_back: bool
-    num_words: int
-    share_words: float
-    share_words_above: float
+    words: KnownWords
 
 
 class KnownImages:
@@ -68,7 +79,7 @@ class KnownImages:
     def update(self, rows: Image) -> KnownParts:
         """What of the next image is known; `rows` are some of its rows, always the same ones."""
         words, starts = _words(rows)
-        of_words = self._of_words(words, rows.itemsize)
+        known_words = self._known_words(words, rows.itemsize)
         sums = self._checksums(words, starts)
         if sums.shape != self._sums.shape[1:]:
             self._known.clear()
@@ -78,7 +89,7 @@ class KnownImages:
             self._place = self._known[self._latest]
             share, is_other = float(_is_uneven(words, starts).mean()), self._latest != before
             is_back = share > COMES_BACK_SHARE and is_other
-            return KnownParts(share, share if is_other else 0.0, True, is_back, *of_words)
+            return KnownParts(share, share if is_other else 0.0, is_repeated=True, is_back=is_back, words=known_words)
         num = len(self._known)
         is_known = (self._sums[:num] == sums).any(axis=0)
         is_as_before = self._sums[self._place] == sums
@@ -86,25 +97,22 @@ class KnownImages:
         self._known[self._latest] = self._place
         self._sums[self._place] = sums
         if not is_known.any():
-            return KnownParts(0.0, 0.0, False, False, *of_words)
+            return KnownParts(0.0, 0.0, is_repeated=False, is_back=False, words=known_words)
         is_known &= _is_uneven(words, starts)
         share_earlier = float((is_known & ~is_as_before).mean())
-        return KnownParts(float(is_known.mean()), share_earlier, False, False, *of_words)
+        return KnownParts(float(is_known.mean()), share_earlier, is_repeated=False, is_back=False, words=known_words)
 
-    def _of_words(self, words: NDArray[np.uint64], pixel_bytes: int) -> tuple[int, float, float]:
-        """How many words have more than a single value, and what shares of them are as before and as above."""
+    def _known_words(self, words: NDArray[np.uint64], pixel_bytes: int) -> KnownWords:
+        """What comes again of `words`, shape (rows, words in a row), of pixels of so many bytes."""
         before, self._words = self._words, words
-        first = words & np.uint64((1 << 8 * pixel_bytes) - 1)
-        is_uneven = words != first * np.uint64(((1 << 64) - 1) // ((1 << 8 * pixel_bytes) - 1))
-        num = int(np.count_nonzero(is_uneven))
+        most = (1 << 8 * pixel_bytes) - 1
+        is_uneven = words != (words & np.uint64(most)) * np.uint64(((1 << 64) - 1) // most)  # its first pixel, repeated
         is_as_before = is_uneven & (words == before) if before.shape == words.shape else np.zeros(0, np.bool_)
         is_as_above = is_uneven[1:] & (words[1:] == words[:-1])
-        num_below = int(np.count_nonzero(is_uneven[1:]))
-        return (
-            num,
-            int(np.count_nonzero(is_as_before)) / max(1, num),
-            int(np.count_nonzero(is_as_above)) / max(1, num_below),
+        num, num_below, num_before, num_above = (
+            int(np.count_nonzero(each)) for each in (is_uneven, is_uneven[1:], is_as_before, is_as_above)
         )
+        return KnownWords(num, num_before / max(1, num), num_above / max(1, num_below))
 
     def _checksums(self, words: NDArray[np.uint64], starts: NDArray[np.intp]) -> NDArray[np.uint64]:
         """By row and piece, a sum of the words times odd numbers; all of it modulo 2 to the power of 64."""

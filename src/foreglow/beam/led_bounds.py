@@ -30,7 +30,8 @@ from foreglow.geometry import Floats, Pose
 STEP_DEG = 0.2
 AZIMUTHS_DEG = np.arange(-45.0, 45.0 + STEP_DEG / 2, STEP_DEG)
 ELEVATIONS_DEG = np.arange(-10.0, 15.0 + STEP_DEG / 2, STEP_DEG)
-"""The grid. LEDs must not shine beyond it; the matrix light of headlamps is narrower."""
+"""The grid. LEDs must not shine beyond it; the matrix light of headlamps is narrower. `photometry.aim` has these limits
+as well: the guard does not rely on what reads the lamps."""
 
 DARK_CD = 1.0
 """Up to this intensity, an LED counts as dark: at the edges of the grid all do, within it none."""

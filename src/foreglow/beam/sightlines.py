@@ -11,10 +11,8 @@ from foreglow.rays import RayCaster
 _CORNERS = np.array([(0, 1), (2, 1), (0, 3), (2, 3)])
 """Indices of x and y of each corner in a box x1, y1, x2, y2."""
 
-
 ASIDE = 0.2
 """Farther aside, the elevation of what is equally high in the image nears 0: by less than this share of the angle."""
-
 
 CLOSEST_M = 4.0
 """No vehicle is nearer to the camera: about as far away is the front end of ours."""

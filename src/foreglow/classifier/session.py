@@ -18,7 +18,7 @@ from foreglow.own_files import is_own
 from foreglow.wording import check_one_of, shortened
 
 if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
+    from onnxruntime import InferenceSession, SessionOptions
 
 Device: TypeAlias = Literal["cpu", "cuda"]
 """What a network is computed on."""
@@ -61,18 +61,10 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     import onnxruntime as ort
 
     ort.disable_telemetry_events()  # in case it was imported before
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = num_threads
-    options.inter_op_num_threads = 1
-    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 4  # errors are raised and need not be printed as well
     _bound_memory()
     _check_divisors(path, content)
-    options.add_session_config_entry("session.load_model_format", "ONNX")  # what was checked, whatever its name ends in
-    options.add_session_config_entry("session.use_env_allocators", "1")
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    options = _options(num_threads)
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
     providers: list[str | tuple[str, dict[str, int]]] = ["CPUExecutionProvider"]
     if device == "cuda":
         if CUDA not in ort.get_available_providers():
@@ -88,6 +80,22 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     return session
 
 
+def _options(num_threads: int) -> SessionOptions:
+    """Those of every session: sequential, without spinning, with bounded memory."""
+    import onnxruntime as ort
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = num_threads
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = 4  # errors are raised and need not be printed as well
+    options.add_session_config_entry("session.load_model_format", "ONNX")  # what was checked, whatever its name ends in
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    return options
+
+
 def _check_divisors(path: Path, model: memoryview) -> None:
     """ValueError if a model may divide whole numbers by 0 or -1, which would stop the process."""
     import onnxruntime as ort
@@ -98,12 +106,8 @@ def _check_divisors(path: Path, model: memoryview) -> None:
         raise ValueError(f"{path}: {error}") from error
     if not names:
         return
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options = _options(1)
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
-    options.log_severity_level = 4
-    options.add_session_config_entry("session.load_model_format", "ONNX")
-    options.add_session_config_entry("session.use_env_allocators", "1")
     options.add_session_config_entry("session.disable_prepacking", "1")
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path.parent))
     try:

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foreglow.checksums import CHECKSUMS
 from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
 from foreglow.datasets import PVDN
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import annotation_quality
 from foreglow.lab.learning import annotation
 from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, splits_to_annotate
-from foreglow.own_folders import CHECKSUMS
 from foreglow.parallel import Local
 from foreglow.proposals import make_proposer
 from foreglow.whole_files import write_atomic

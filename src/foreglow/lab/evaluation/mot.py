@@ -25,9 +25,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.checksums import CHECKSUMS, announce, check_unchanged, checksums_file
 from foreglow.datasets import LabelledSource, Sequence
 from foreglow.lab.evaluation.boxes.matching import lies_in, smallest_box
-from foreglow.own_folders import CHECKSUMS, announce, check_new, check_unchanged, checksums_file
+from foreglow.own_folders import check_new
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 from foreglow.whole_files import make_folder, together, write_atomic

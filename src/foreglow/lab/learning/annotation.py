@@ -18,6 +18,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from foreglow.checksums import CHECKSUMS, announce, check_unchanged, checksums_file
 from foreglow.config import FrozenModel, PipelineConfig, ProposalConfig, read_toml, validated
 from foreglow.datasets import PVDN, LabelledSource, split_folder
 from foreglow.datasets.json_files import json_bytes, read_json
@@ -29,8 +30,7 @@ from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import lies_in
-from foreglow.lab.learning.kept_files import checksum, checksum_of
-from foreglow.own_folders import CHECKSUMS, announce, check_unchanged, checksums_file
+from foreglow.lab.learning.kept_files import checksum_of, file_checksum
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
@@ -243,7 +243,7 @@ def _own_boxes(dataset: PVDN, record: _Record | None) -> dict[str, int]:
                 f"{paths[unknown[0]]}: expected boxes that annotate wrote, or none, got others, which stay; {keep}, "
                 "and new boxes are made"
             )
-        found |= {name: checksum(paths[name]) for name in unknown}
+        found |= {name: file_checksum(paths[name]) for name in unknown}
     return found
 
 
@@ -311,7 +311,7 @@ def _annotate_sequence(
 
 def _checksum(dataset: PVDN, image_ids: Iterable[int]) -> int:
     """CRC-32 of those of the images' files of boxes."""
-    return checksum_of([checksum(_box_file(dataset, image_id)) for image_id in image_ids])
+    return checksum_of([file_checksum(_box_file(dataset, image_id)) for image_id in image_ids])
 
 
 @functools.lru_cache(maxsize=1)

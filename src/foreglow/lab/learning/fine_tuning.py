@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from foreglow.checksums import check_as_written
 from foreglow.config import PipelineConfig
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
@@ -39,7 +40,6 @@ from foreglow.lab.learning.training_run import (
     write_results,
 )
 from foreglow.models import OLD_SAMPLES
-from foreglow.own_folders import check_as_written
 
 if TYPE_CHECKING:
     import torch

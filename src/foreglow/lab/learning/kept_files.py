@@ -11,6 +11,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from foreglow.checksums import checksum
 from foreglow.files import MIB, check_file
 from foreglow.plugins import first_line_of
 
@@ -48,7 +49,7 @@ def image_state(path: Path) -> bytes:
     return digest.digest()
 
 
-def checksum(path: Path) -> int:
+def file_checksum(path: Path) -> int:
     """CRC-32 of a regular file.
 
     Raises:
@@ -56,11 +57,7 @@ def checksum(path: Path) -> int:
         ValueError: If it is no regular file.
     """
     check_file(path)
-    found = 0
-    with path.open("rb") as file:
-        while piece := file.read(MIB):
-            found = zlib.crc32(piece, found)
-    return found
+    return checksum(path)
 
 
 def checksum_of(value: Any) -> int:

@@ -23,7 +23,7 @@ from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.simulated import shares_path
 from foreglow.files import MAX_JSON_BYTES, read_bytes, read_plain_json
 from foreglow.folder_lock import FolderLock
-from foreglow.lab.learning.kept_files import checksum, image_state
+from foreglow.lab.learning.kept_files import file_checksum, image_state
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 from foreglow.whole_files import RemadeWarning, naming
 
@@ -158,7 +158,7 @@ def _write_header(file: BinaryIO, empty: np.ndarray[Any, Any], num_samples: int)
 
 
 def _checksums(folder: Path) -> dict[str, int]:
-    return {name: checksum(folder / f"{name}.npy") for name in ARRAYS}
+    return {name: file_checksum(folder / f"{name}.npy") for name in ARRAYS}
 
 
 def _read(folder: Path, digest: str) -> Samples | None:

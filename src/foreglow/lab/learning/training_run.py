@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from scipy.special import expit
 
+from foreglow.checksums import check_as_written, replace_results
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
@@ -25,7 +26,6 @@ from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined, joined_digest
 from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
-from foreglow.own_folders import check_as_written, replace_results
 from foreglow.provenance import provenance
 from foreglow.whole_files import write_atomic
 

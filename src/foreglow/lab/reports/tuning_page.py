@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from foreglow.checksums import replace_results
 from foreglow.files import json_text
 from foreglow.lab.learning.tuning import RESULTS, SPACES, Finalist, Measurement, TrialRecord, Tuning, TuningSettings
 from foreglow.lab.reports.figures import AMBER, GREY, INK, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number
-from foreglow.own_folders import check_as_written, replace_results
 from foreglow.provenance import provenance
 
 SPLITS = ("train", "val", "test")
@@ -53,18 +53,13 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
     """
     page = _page(tuning)
     folder.mkdir(parents=True, exist_ok=True)
-    check_as_written(folder, RESULTS)
-    replace_results(
-        folder,
-        {
-            "best.toml": _best_toml(tuning).encode(),
-            "trials.csv": _trials(tuning).csv().encode(),
-            "summary.json": json_text(provenance() | _summary(tuning)).encode(),
-            **page.files("report.md"),
-        },
-    )
-    if not tuning.importances:
-        (folder / "importance.png").unlink(missing_ok=True)
+    files = {
+        "best.toml": _best_toml(tuning).encode(),
+        "trials.csv": _trials(tuning).csv().encode(),
+        "summary.json": json_text(provenance() | _summary(tuning)).encode(),
+        **page.files("report.md"),
+    }
+    replace_results(folder, files, removed=[name for name in RESULTS if name not in files])
     return folder / "report.md"
 
 

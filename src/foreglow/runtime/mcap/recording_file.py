@@ -15,9 +15,8 @@ from foxglove.mcap import MCAPWriteOptions
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.files import path_in_unicode
 from foreglow.folder_lock import lock
-from foreglow.own_folders import check_replaceable
 from foreglow.runs.origin import full_name
-from foreglow.whole_files import numbered, partial_path, put, replaces_only
+from foreglow.whole_files import check_replaceable, numbered, partial_path, put, replaces_only
 
 
 class GrowingFile:

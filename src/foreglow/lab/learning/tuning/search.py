@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from foreglow.checksums import check_as_written
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.lab.learning.annotation import Progress, existing_splits
@@ -25,7 +26,6 @@ from foreglow.lab.learning.tuning.study import (
     prepare,
     work,
 )
-from foreglow.own_folders import check_as_written
 from foreglow.parallel import Local, Parent, Workers
 
 if TYPE_CHECKING:

@@ -14,23 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from foreglow.checksums import CHECKSUMS, announce, check_unchanged, checksums_file, missing_files
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
-from foreglow.lab.learning.kept_files import checksum
-from foreglow.own_folders import (
-    CHECKSUMS,
-    EXPORT,
-    UNFINISHED_EXPORT,
-    announce,
-    check_new,
-    check_unchanged,
-    checksums_file,
-    missing_files,
-)
+from foreglow.lab.learning.kept_files import file_checksum
+from foreglow.own_folders import EXPORT, UNFINISHED_EXPORT, check_new
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
@@ -176,7 +168,7 @@ def _exported(
                 write_atomic(work / pair[1], label_lines(boxes, frame.width_px, frame.height_px).encode())
             for part in pair:
                 is_known = home == folder and part in known
-                checksums[part] = known[part] if is_known else checksum(home / part)
+                checksums[part] = known[part] if is_known else file_checksum(home / part)
             num_boxes[name] += read_bytes(home / pair[1], MIB).count(b"\n")
             num_done += 1
             if progress is not None:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+from foreglow.checksums import CHECKSUMS
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_config
 from foreglow.datasets import SplitName, open_labelled, split_folder
 from foreglow.files import MAX_JSON_BYTES, file_digest, read_bytes, read_plain_json
 from foreglow.lab.studies.progress import Progress
-from foreglow.own_folders import CHECKSUMS
 from foreglow.wording import shortened
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
-from foreglow.lab.learning.kept_files import checksum
+from foreglow.lab.learning.kept_files import file_checksum
 from foreglow.lab.studies.detector.rows import (
     COMPARISONS,
     ROWS,
@@ -202,7 +202,7 @@ def _kept_row(path: Path, predictions: Path, key: str) -> RowResult | None:
 
 
 def _checksums(row: RowResult, predictions: Path) -> dict[str, int]:
-    return {"row": zlib.crc32(row.model_dump_json().encode()), "predictions": checksum(predictions)}
+    return {"row": zlib.crc32(row.model_dump_json().encode()), "predictions": file_checksum(predictions)}
 
 
 def _classifier_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
