@@ -77,6 +77,21 @@ def test_what_is_written_reads_back_equal(config: PipelineConfig) -> None:
     assert read_text(config_to_toml(config)) == config
 
 
+@pytest.mark.parametrize("base", sorted(PRESETS))
+@pytest.mark.parametrize("name", sorted(PRESETS))
+def test_a_whole_configuration_is_the_same_on_any_preset(name: str, base: str) -> None:
+    """`--config RUN/config.toml` starts from the preset `foreglow`, whose model a run without one must not get."""
+    assert read_text(config_to_toml(PRESETS[name]), PRESETS[base]) == PRESETS[name]
+
+
+def test_a_field_may_be_without_the_value_of_its_base() -> None:
+    base = preset("foreglow").changed("beam", headlamps=Path("lamps.toml"))
+    config = read_text('[classifier]\nmodel = "none"\n[beam]\nheadlamps = "none"\npolicy = "none"', base)
+    assert (config.classifier.model, config.beam.headlamps, config.beam.policy) == (None, None, "none")
+    with pytest.raises(ValueError, match=r"proposals.gap_px: .*got 'none'"):
+        read_text('[proposals]\ngap_px = "none"')
+
+
 def test_infinity_and_region_read_back() -> None:
     proposals = ProposalConfig(max_area_px=float("inf"), region_xyxy_px=(1, 2, 30, 40))
     config = PipelineConfig(proposals=proposals)

@@ -23,6 +23,11 @@ from foreglow.files import checked_path, read_toml
 from foreglow.wording import check_one_of, shortened
 
 
+NONE = "none"
+"""In a file, for a field without a value, such as no model: TOML has no word for it, and left out it would be that of
+the preset."""
+
+
 class PipelineConfig(FrozenModel):
     """The configuration of the whole pipeline: a section for each stage, and for what is around them."""
 
@@ -117,31 +122,43 @@ def read_config(path: Path | str, base: PipelineConfig | None = None) -> Pipelin
     merged: dict[str, Any] = (PRESETS["paper"] if base is None else base).model_dump()
     for section, fields in given.items():
         known = merged.get(section)
-        merged[section] = known | fields if isinstance(known, dict) and isinstance(fields, dict) else fields
+        are_fields = isinstance(known, dict) and isinstance(fields, dict)
+        merged[section] = known | _valued(section, fields) if are_fields else fields
     return validated(PipelineConfig, merged, str(path))
 
 
-def config_to_toml(config: PipelineConfig) -> str:
-    r"""`config` as TOML text that `read_config` reads back equal, anywhere: the files that it names become absolute.
+def _valued(section: str, fields: dict[str, Any]) -> dict[str, Any]:
+    """The `fields` of a section of a file, with None for `NONE` where a field may be without a value."""
+    known = type(getattr(PRESETS["paper"], section)).model_fields
+    may_lack = {name for name, field in known.items() if field.default is None}
+    return {name: None if name in may_lack and value == NONE else value for name, value in fields.items()}
 
-    Fields that are None are left out.
+
+def config_to_toml(config: PipelineConfig) -> str:
+    r"""`config` as TOML text that `read_config` reads back equal, anywhere and on any base: the files that it names
+    become absolute, and fields that are None are `NONE`.
 
     >>> print(config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx")))).split("\n\n")[1])
     [classifier]
     model = "model.onnx"
+    support = "none"
     score_threshold = 0.5
     num_threads = 1
     device = "cpu"
     colour = true
     """
-    # Python mode keeps infinity, which JSON mode would turn into null; a path is the one value TOML does not know.
-    sections: dict[str, dict[str, Any]] = config.model_dump(exclude_none=True)
+    # Python mode keeps infinity, which JSON mode would turn into null.
+    sections: dict[str, dict[str, Any]] = config.model_dump()
     return tomli_w.dumps(
-        {
-            section: {name: _located(value) if isinstance(value, Path) else value for name, value in fields.items()}
-            for section, fields in sections.items()
-        }
+        {section: {name: _written(value) for name, value in fields.items()} for section, fields in sections.items()}
     )
+
+
+def _written(value: Any) -> Any:
+    """A value as TOML has it."""
+    if value is None:
+        return NONE
+    return _located(value) if isinstance(value, Path) else value
 
 
 def _located(path: Path) -> str:
