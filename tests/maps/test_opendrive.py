@@ -84,6 +84,13 @@ def test_a_parametric_cubic(tmp_path: Path, p_range: str, scale: float) -> None:
     assert line.points_m[-1, 0] == pytest.approx(20.0)
 
 
+def test_a_cubic_of_another_parameter_is_no_road_of_a_metre(tmp_path: Path) -> None:
+    """Without pRange the parameter is normalised, but this one is the length."""
+    shape = '<paramPoly3 aU="0" bU="1" cU="0" dU="0" aV="0" bV="0" cV="0.001" dV="0"/>'
+    with pytest.raises(ValueError, match=r"geometry at s = 0 m: expected a line of 200 m, .*, got 1 m .*pRange"):
+        read(tmp_path, road(geometry(0, 0, 0, 0, 200, shape), 200))
+
+
 def test_the_middle_of_the_driving_lanes(tmp_path: Path) -> None:
     plan = geometry(0, 0, 0, 0, 40, "<line/>")
     line = only(read(tmp_path, road(plan, 40, LANES.format(offset="", right=4))))

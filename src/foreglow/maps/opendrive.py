@@ -47,6 +47,10 @@ WIDTH_TOLERANCE_M = 0.1
 MAX_STEP_M = 5.0
 """Neighbouring points of a reference line, `STEP_M` apart along it, are no further apart than this."""
 
+LENGTH_TOLERANCE = 0.1
+"""A geometry is as long as it says to this share, and `MAX_GAP_M`: where a cubic's parameter is another than the one
+that it states, the road would be squeezed into a metre."""
+
 MAX_CURVATURE_PER_M = 1.0
 """The sharpest bend of a road has a radius of some metres."""
 
@@ -137,6 +141,10 @@ def _reference(road: Element, ways_m: Floats, origin: str) -> Floats:
             raise ValueError(
                 f"{origin}: geometry at s = {begin_m:g} m: expected finite places, got others by its {shape}"
             )
+        span_m, drawn_m = np.ptp(ways_m[here]), np.hypot(*np.diff(own[:, :2], axis=0).T).sum()
+        if drawn_m < (1 - LENGTH_TOLERANCE) * span_m - MAX_GAP_M:
+            expected = f"expected a line of {span_m:g} m, as its length says, got {drawn_m:.3g} m"
+            raise ValueError(f"{origin}: geometry at s = {begin_m:g} m: {expected} (is its pRange right?)")
         turned_x = own[:, 0] * np.cos(heading) - own[:, 1] * np.sin(heading)
         turned_y = own[:, 0] * np.sin(heading) + own[:, 1] * np.cos(heading)
         found[here] = np.stack([x + turned_x, y + turned_y, heading + own[:, 2]], -1)

@@ -189,6 +189,21 @@ def test_poses_that_head_across_the_road_or_are_at_another_height(tmp_path: Path
         open_vehicle_data(road_map=road_map, poses=poses)
 
 
+def test_poses_at_the_height_of_an_antenna(tmp_path: Path, road_map: Path) -> None:
+    road_map.write_text(json.dumps({"type": "LineString", "coordinates": [[9.0, 48.0, 411.0], [9.01, 48.0, 411.0]]}))
+
+    def opened(height_m: float) -> VehicleFiles:
+        rows = [f"{k},47.999985,{9 + k * 0.0001},90,{height_m},0,0" for k in range(11)]
+        poses = tmp_path / "drive.csv"
+        poses.write_text("\n".join(["timestamp_s,lat_deg,lon_deg,heading_deg,height_m,pitch_deg,roll_deg", *rows]))
+        return open_vehicle_data(road_map=road_map, poses=poses)
+
+    assert opened(411.9).road(frame(5.5)) is not None
+    for height_m, words in ((412.6, "1.6 m above"), (408.0, "3.0 m below")):
+        with pytest.raises(ValueError, match=rf"drive\.csv: .*on the road.*{words} the roads of .*antenna"):
+            opened(height_m)
+
+
 def test_reports_of_the_poses_come_with_the_frames() -> None:
     rotations = Rotation.from_matrix(np.stack([np.eye(3)] * 2))
     times_ns, reports = np.array([0, SECOND]), np.array([False, True])

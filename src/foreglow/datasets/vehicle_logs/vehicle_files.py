@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from foreglow.calibration import read_calibration
 from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
@@ -21,6 +23,10 @@ MAX_CLOCK_GAP_S = 3600.0
 
 POSE_ERROR_M = 5.0
 """Largest error of ordinary satellite positioning in the open."""
+
+MAX_STANDING_M = 1.0
+"""Largest median height of the poses above or below the road under them: a camera is little more above it, so that
+ranges by a road that lies deeper would be far too long."""
 
 NUM_TRIED_POSES = 100
 """So many poses along the drive are tried on the map when it is opened."""
@@ -179,7 +185,8 @@ def open_vehicle_data(
     Raises:
         FileNotFoundError: If one of the files is missing.
         ModuleNotFoundError: If a CAN log is given, and the extra `can` is not installed.
-        ValueError: If a file is broken, a file is missing that goes with another, or no pose is on a road of the map.
+        ValueError: If a file is broken, a file is missing that goes with another, no pose is on a road of the map, or they are not
+            at its height.
     """
     if all(path is None for path in (calibration, can_log, dbc, mapping, road_map, poses)):
         raise ValueError("vehicle data: expected a calibration, a CAN log, or a map with poses, got none of them")
@@ -208,11 +215,19 @@ def open_vehicle_data(
 
 
 def _check_on_road(track: PoseTrack, roads: RoadMap, name: str, map_name: str) -> None:
-    """ValueError if no pose has a road ahead."""
+    """ValueError if no pose has a road ahead, or they are not at its height."""
     times_ns = track.times_ns[:: max(1, len(track.times_ns) // NUM_TRIED_POSES)].tolist()
     found = [pose for time_ns in times_ns if (pose := track.pose(time_ns)) is not None]
     is_on_road = not track.has_attitude
-    if not any(roads.ahead(pose, is_on_road=is_on_road) for pose in found):
+    ahead = [road for pose in found if (road := roads.ahead(pose, is_on_road=is_on_road)) is not None]
+    above_m = -float(np.median([road.points_m[0, 2] for road in ahead])) if ahead else 0.0
+    if abs(above_m) > MAX_STANDING_M:
+        side = "above" if above_m > 0 else "below"
+        raise ValueError(
+            f"{name}: expected the heights of points on the road, under the rear axle, got poses {abs(above_m):.1f} m "
+            f"{side} the roads of {map_name} in the median: are they those of an antenna, or of another kind?"
+        )
+    if not ahead:
         hindrances = {roads.hindrance(pose, is_on_road=is_on_road) for pose in found}
         expected = f"{name}: expected poses along the roads of {map_name}"
         if "heading" in hindrances:
