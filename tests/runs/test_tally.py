@@ -11,7 +11,9 @@ import pytest
 
 from foreglow import provenance
 from foreglow.config import PipelineConfig, preset
+from foreglow.display.summary_lines import run_lines
 from foreglow.files import json_text
+from foreglow.geometry import Camera, Pose
 from foreglow.runs import tally as tallies
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally, run_time
@@ -53,6 +55,25 @@ def test_ranges_and_tracks_are_counted() -> None:
     assert (counted.num_ranged, counted.num_tracks) == (2, 2)  # the tentative track does not count
     without = summary_of(tally, preset("foreglow").detector_only)
     assert without.num_ranged is None
+
+
+@pytest.mark.parametrize(
+    ("has_camera", "num_boxes", "words"),
+    [(False, 0, "calibration is not known"), (True, 1, "need the road ahead"), (True, 0, None)],
+)
+def test_why_nothing_has_a_range(tmp_path: Path, has_camera: bool, num_boxes: int, words: str | None) -> None:
+    """A camera whose calibration was given is not told to be unknown, such as where there are no boxes."""
+    frame, tally = night_frames(1)[0], Tally()
+    if has_camera:
+        mount = Pose(np.array([1.9, 0.0, 1.3]), np.eye(3))
+        size_px, centre_px = (frame.width_px, frame.height_px), (frame.width_px / 2, frame.height_px / 2)
+        camera = Camera(*size_px, (100.0, 100.0), centre_px, (0.0,) * 5, mount)
+        frame = dataclasses.replace(frame, camera=camera)
+    tally.add(frame, result_of(frame, [[0, 0, 4, 4]] * num_boxes, [0.9] * num_boxes))
+    lines = run_lines(summary_of(tally), tmp_path, is_interrupted=False)
+    told = [line for line in lines if line.startswith("nothing has a range: ")]
+    assert len(told) == (words is not None)
+    assert all(words is not None and words in line for line in told)
 
 
 def test_beam_commands_are_counted() -> None:

@@ -25,7 +25,13 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
     lines = [found]
     if not summary.is_classified:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
-    if summary.num_ranged == 0:
+    if summary.num_ranged == 0 and summary.num_with_camera:
+        if summary.num_scored:
+            lines.append(
+                "nothing has a range: the estimator found none; psd_3d, psd_3d_plus and psd_2d need the road ahead "
+                "(--can-log, or --map with --poses)"
+            )
+    elif summary.num_ranged == 0:
         lines.append(
             "nothing has a range: the camera's calibration is not known (--calibration FILE; `foreglow calibrate auto "
             "VIDEO --out camera.toml` estimates one, and so does --calibration auto)"

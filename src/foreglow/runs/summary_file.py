@@ -65,7 +65,8 @@ class RunSummary(_Strict):
         num_accepted: Boxes scored above the threshold; None without a model.
         num_ranged: Scored boxes that have a range; None if nothing estimates ranges.
         num_tracks: Tracks that were plausible at some time; None without a tracker.
-        num_with_motion: Frames with the motion of the car; None in folders of earlier versions, like the next.
+        num_with_camera: Frames with a calibration; None in folders of earlier versions, like the next two.
+        num_with_motion: Frames with the motion of the car.
         num_with_road: Frames with the road ahead.
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
@@ -94,6 +95,7 @@ class RunSummary(_Strict):
     num_accepted: Count | None
     num_ranged: Count | None
     num_tracks: Count | None
+    num_with_camera: Count | None = None
     num_with_motion: Count | None = None
     num_with_road: Count | None = None
     beam: BeamSummary | None

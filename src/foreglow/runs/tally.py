@@ -54,6 +54,7 @@ class Tally:
         self._num_proposals = 0
         self._num_accepted = 0
         self._num_ranged = 0
+        self._num_with_camera = 0
         self._num_with_motion = 0
         self._num_with_road = 0
         self._num_tracks: int | None = None
@@ -69,6 +70,7 @@ class Tally:
     def add(self, frame: Frame, result: FrameResult) -> None:
         """Counts one frame."""
         self.num_frames += 1
+        self._num_with_camera += frame.camera is not None
         self._num_with_motion += frame.motion is not None
         self._num_with_road += frame.road is not None
         self._num_proposals += len(result.proposals)
@@ -90,8 +92,8 @@ class Tally:
 
     def extend(self, later: Tally) -> None:
         """Adds the counts of `later`, of other sequences, as if its frames had been added after the ones so far."""
-        counts = ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_with_motion", "_num_with_road")
-        for name in (*counts, "_num_gaps", "_sum_gaps_rad"):
+        counts = ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_gaps", "_sum_gaps_rad")
+        for name in (*counts, "_num_with_camera", "_num_with_motion", "_num_with_road"):
             setattr(self, name, getattr(self, name) + getattr(later, name))
         if later._num_tracks is not None:
             self._num_tracks = (self._num_tracks or 0) + later._num_tracks
@@ -139,6 +141,7 @@ class Tally:
             num_accepted=self._num_accepted if is_classified else None,
             num_ranged=self._num_ranged if is_ranging else None,
             num_tracks=self._num_tracks,
+            num_with_camera=self._num_with_camera,
             num_with_motion=self._num_with_motion,
             num_with_road=self._num_with_road,
             beam=self._beam_summary() if self._modes else None,
