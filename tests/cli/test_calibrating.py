@@ -6,9 +6,12 @@ import re
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
-from foreglow.calibration import read_calibration
+from foreglow.calibration import auto, read_calibration
+from foreglow.cli.shared_calibration import calibrate_source
+from foreglow.options import LensOptions, SourceOptions
 from tests.calibration.roads import drive
 from tests.calibration.test_kitti import CAM_TO_CAM, ODOMETRY
 from tests.calibration.test_ros import TEXT as ROS
@@ -160,3 +163,14 @@ def test_complaints(tmp_path: Path) -> None:
     said = complaint("calibrate", "check", tmp_path / "front.yaml", tmp_path / "a.png", "--out", tmp_path / "c.png")
     assert "front.yaml: mount: missing" in said
     assert not (tmp_path / "camera.toml").exists()
+
+
+def test_a_limit_beyond_the_drive_thins_nothing_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a long drive every n-th frame is looked at: how long it is says the source."""
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((64, 64), np.uint8))
+    nums: list[int] = []
+    monkeypatch.setattr(auto, "calibrate_drive", lambda *_, num_frames, **__: nums.append(num_frames))
+    for limit in (2, 100_000, None):
+        calibrate_source(tmp_path, SourceOptions(limit=limit), LensOptions(fov=60.0))
+    assert nums == [2, 3, 3]

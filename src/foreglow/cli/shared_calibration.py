@@ -25,12 +25,13 @@ def calibrate_source(source: Path, reading: SourceOptions, lens: LensOptions) ->
     first = next(iter(frames), None)
     if first is None:
         raise ValueError(f"{name}: expected a drive, it has no frame")
+    known = [num for num in (reading.limit, frames.num_frames) if num is not None]
     return calibrate_drive(
         itertools.islice(frames, reading.limit),
         lens_of(first, name, lens.focal, lens.fov),
         name=name,
         rate_hz=frames.rate_hz,
-        num_frames=reading.limit or frames.num_frames,
+        num_frames=min(known, default=None),
         height_m=lens.mount_height,
     )
 
