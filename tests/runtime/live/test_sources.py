@@ -22,6 +22,7 @@ from benchmarks.image_faults import CODINGS, encoded
 from foreglow.beam.faults import GuardFault
 from foreglow.datasets import Video, open_source, shipped_drive
 from foreglow.datasets.vehicle_data import VehicleData
+from foreglow.datasets.vehicle_logs import CanLog, VehicleFiles
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
@@ -265,6 +266,18 @@ def test_what_the_car_knows_is_put_beside_frames() -> None:
     assert first.motion.speed_mps == 20.0
     assert first.camera is not None  # what the drive itself knows stays
     assert first.road is not None
+
+
+@pytest.mark.parametrize("name", ["camera:0", "rtsp://127.0.0.1:1/night"])
+def test_a_recorded_drive_says_nothing_of_what_the_car_does_now(name: str) -> None:
+    """Its times may be near those of the machine's clock, and the guard would believe its speed."""
+    log, calibrated = CanLog(), VehicleFiles()
+    log.add_number("speed", 0, 25.0)
+    log.add_number("yaw_rate", 0, 0.0)
+    with pytest.raises(ValueError, match=rf"{name}: expected no --can-log .* with a camera: .* --can-in"):
+        open_live(name, CameraOptions(data=VehicleFiles(log=log)))
+    for data in (calibrated, VehicleFiles(log=log, is_live=True)):
+        assert open_live(name, CameraOptions(data=data)).is_endless
 
 
 def test_an_unreadable_image_of_a_folder_is_left_out(tmp_path: Path) -> None:

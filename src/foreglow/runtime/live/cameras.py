@@ -45,7 +45,7 @@ class CameraOptions:
         size_px: Width and height to request from a camera; None for its own.
         rate_hz: Frame rate to request from a camera and to expect; None for its own.
         delay_s: From the middle of the exposure until the frame arrives; subtracted from the time of arrival.
-        data: The car's own data for each frame; None without.
+        data: The car's own data for each frame, with a camera no log or poses of an earlier drive; None without.
         seed: The seed of a simulated drive.
         quality: How finely a simulated drive is rendered.
     """
@@ -73,6 +73,17 @@ class LiveCamera(ABC):
     skipped: Sequence[str] = ()
 
     def __init__(self, name: str, options: CameraOptions) -> None:
+        """A camera that is not opened yet.
+
+        Raises:
+            ValueError: If the car's data are those of a drive that is over, whose speed would pass for today's.
+        """
+        of_a_drive = () if options.data is None else options.data.of_one_drive
+        if of_a_drive:
+            raise ValueError(
+                f"{name}: expected no {' or '.join(of_a_drive)} with a camera: it is of a drive that is over, and no "
+                "word of what the car does now, which comes by --can-in"
+            )
         self.name = name
         self.rate_hz = options.rate_hz
         self._options = options
