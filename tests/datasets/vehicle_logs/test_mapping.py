@@ -126,12 +126,6 @@ def log_of(tmp_path: Path, frames: list[Sent], mapping: str = MAPPING) -> CanLog
     return read_can_log(tmp_path / "car.log", tmp_path / "car.dbc", tmp_path / "car.toml")
 
 
-def test_more_than_the_segment_cannot_remain(tmp_path: Path) -> None:
-    """Such a position would be taken for the segment's beginning; lengths are rounded to 2 m."""
-    found = [log_of(tmp_path, [piece(7, 6, Metres=metres), here(7)]).street(1_100_000_000) for metres in (26, 28)]
-    assert [message is not None for message in found] == [False, True]
-
-
 def test_the_road_of_another_car(tmp_path: Path) -> None:
     frames: list[Sent] = [
         piece(7, 6, BendIn=0, BendInRight=0, BendOut=254, BendOutRight=1),

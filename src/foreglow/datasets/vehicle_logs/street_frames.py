@@ -58,7 +58,7 @@ class StreetFrames:
         self._slope_codes[round(values["segment_id"])] = _slope_code(values)
 
     def message(self, values: Mapping[str, float], time_ns: int) -> StreetMessage | None:
-        """The message of a frame of the section `position` and the segments before it; None if it is incomplete, or the position is in no part of its segment."""
+        """The message of a frame of the section `position` and the segments before it; None if it is incomplete."""
         position = self._mapping.position
         first_class = position.first_error_class if position is not None else 0
         error_class, remaining_m = round(values["error_class"]) - first_class, round(values["remaining_length_m"])
@@ -66,7 +66,7 @@ class StreetFrames:
             return None
         needed = round(values["num_segments"]) if "num_segments" in values else None
         chain = self._chain(round(values["segment_id"]), time_ns, needed or NUM_SEGMENT_IDS)
-        if not chain or len(chain) < (needed or 0) or remaining_m > chain[0].length_m + LENGTH_STEP_M:
+        if not chain or len(chain) < (needed or 0):
             return None
         return StreetMessage(segments=tuple(chain), remaining_length_m=remaining_m, error_class=error_class)
 
