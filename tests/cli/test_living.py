@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -172,6 +173,7 @@ def test_bad_input(tmp_path: Path) -> None:
         ("simulate:curve", "--speed", 2),
         ("simulate:curve", "--calibration", "camera.toml"),
         ("simulate:curve", "--rate", 5),
+        ("simulate:curve", "--lamps", files("foreglow.photometry") / "headlamps.toml"),
     ],
 )
 def test_an_option_without_effect_is_an_error(source: str, option: str, value: object) -> None:

@@ -98,6 +98,8 @@ def live(
     known = options_of(source)
     refuse_unused(source, {name: is_given for name, is_given in given.items() if name not in known})
     configuration = lamps.commanding(pipeline.configuration())
+    has_lamps = configuration.beam.headlamps is not None  # a simulated drive is lit by those that ship
+    refuse_unused(source, {"--lamps": has_lamps and "--lamps" not in known})
     with contextlib.ExitStack() as closing:
         data = vehicle.read() if can_in is None else _bus_data(vehicle, can_in, closing)
         options = CameraOptions(

@@ -30,13 +30,15 @@ SOURCES = {
 }
 """The `Opener` of each scheme, as `module:name` without the package: it is imported when it is needed."""
 
-CAMERA_OPTIONS = frozenset(("--size", "--rate", "--camera-delay", "--can-in", "--calibration", "--can-log", "--map"))
+CAMERA_OPTIONS = frozenset(
+    ("--size", "--rate", "--camera-delay", "--can-in", "--calibration", "--can-log", "--map", "--lamps")
+)
 """Options of `foreglow live` that mean something to a camera."""
 
 OPTIONS: Mapping[str | None, frozenset[str]] = {
     STREAM: CAMERA_OPTIONS - {"--size"},
     "simulate": frozenset(("--seed", "--quality")),
-    None: frozenset(("--topic", "--speed", "--calibration", "--can-log", "--map")),
+    None: frozenset(("--topic", "--speed", "--calibration", "--can-log", "--map", "--lamps")),
 }
 """Likewise for other sources by their scheme, None for a path; all schemes that are not here are cameras."""
 
