@@ -131,5 +131,19 @@ def test_the_road_of_a_message() -> None:
     assert not road.cross_slopes.any()
 
 
+def test_a_vehicle_moves_on_along_the_road_of_a_message() -> None:
+    """As if the message had been sent there, and in the next segment level on its slope."""
+    segments = segment(slope_code=4), segment(slope_code=-6, start_curvature_code=90, end_curvature_code=90)
+    message = StreetMessage(segments=segments, remaining_length_m=30, error_class=0)
+    here, beyond = (road_from_message(message, travelled_m) for travelled_m in (10.0, 45.0))
+    nearer = road_from_message(message.model_copy(update={"remaining_length_m": 20}))
+    last = StreetMessage(segments=segments[1:], remaining_length_m=int(segments[1].length_m) - 15, error_class=0)
+    for moved, sent in ((here, nearer), (beyond, road_from_message(last))):
+        assert moved is not None
+        assert sent is not None
+        np.testing.assert_allclose(moved.points_m, sent.points_m, atol=1e-9)
+    assert road_from_message(message, 1000.0) is None
+
+
 def test_a_message_that_is_over_tells_no_road() -> None:
     assert road_from_message(StreetMessage(segments=(segment(),), remaining_length_m=0, error_class=2)) is None

@@ -116,18 +116,18 @@ class StreetMessage(FrozenModel):
         return ERROR_BOUNDS_M[self.error_class]
 
 
-def road_from_message(message: StreetMessage) -> RoadAhead | None:
+def road_from_message(message: StreetMessage, travelled_m: float = 0.0) -> RoadAhead | None:
     """The road that the message describes, in the frame of a vehicle that follows the middle of the right lane.
 
-    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
+    The vehicle has travelled so far along it since the message. Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
     """
-    points = points_from_message(message, LANE_WIDTH_M / 2)
+    points = points_from_message(message, LANE_WIDTH_M / 2, travelled_m)
     if len(points) < 2:
         return None
     return RoadAhead(points, half_width_m=LANE_WIDTH_M, error_bound_m=message.error_bound_m)
 
 
-def points_from_message(message: StreetMessage, left_m: float = 0.0) -> Floats:
+def points_from_message(message: StreetMessage, left_m: float = 0.0, travelled_m: float = 0.0) -> Floats:
     """The road that the message describes: a point each metre from the assumed position on, shape (N, 3).
 
     Points are in the frame of a vehicle that heads along the road, so that the first point is (0, left_m, 0).
@@ -135,21 +135,23 @@ def points_from_message(message: StreetMessage, left_m: float = 0.0) -> Floats:
     Args:
         message: The street message.
         left_m: Offset of the line to the vehicle's left; the road's centre line is half a lane to the left.
+        travelled_m: How far the vehicle is beyond the position of the message.
     """
     ends_m = np.cumsum([segment.length_m for segment in message.segments])
-    begin_m = max(message.segments[0].length_m - message.remaining_length_m, 0.0)
+    begin_m = max(message.segments[0].length_m - message.remaining_length_m, 0.0) + travelled_m
     arc_lengths_m = np.arange(begin_m, ends_m[-1] + 1e-9)
     middles_m = (arc_lengths_m[1:] + arc_lengths_m[:-1]) / 2
     knots_m = np.stack([ends_m - [segment.length_m for segment in message.segments], ends_m], -1).ravel()
     curvatures = np.array([segment.curvatures_per_m for segment in message.segments]).ravel()
     slopes = np.array([segment.slope for segment in message.segments])
+    first = min(int(np.searchsorted(ends_m, begin_m)), len(slopes) - 1)
     # One step is one metre. Since the curvature may jump between segments, it is taken in the middle of each step.
     turns_rad = np.interp(middles_m, knots_m, curvatures)
     headings_rad = np.cumsum(turns_rad) - turns_rad / 2
     rises_m = slopes[np.minimum(np.searchsorted(ends_m, middles_m), len(slopes) - 1)]
     steps_m = np.stack([np.cos(headings_rad), np.sin(headings_rad), rises_m], -1)
     level = np.concatenate([np.zeros((1, 3)), np.cumsum(steps_m, axis=0)])
-    nose_up = rotation(pitch_rad=float(np.arctan(slopes[0])))
+    nose_up = rotation(pitch_rad=float(np.arctan(slopes[first])))
     return np.asarray(level @ nose_up + [0.0, left_m, 0.0])
 
 

@@ -87,6 +87,27 @@ def test_motion_and_road_of_a_log(can_log: Path) -> None:
     assert data.road(frame(20.0)) is None
 
 
+def test_the_car_drives_on_from_the_position_of_the_latest_message() -> None:
+    """At 20 m/s and two messages a second the road would lie up to 10 m too far ahead."""
+    log, no_speed = CanLog(), CanLog()
+    for each in (log, no_speed):
+        each.add_street(0, message(remaining_length_m=40))
+    for time_s in (0.0, 0.4):
+        log.add_number("speed", round(time_s * SECOND), 20.0)
+        log.add_number("yaw_rate", round(time_s * SECOND), 0.0)
+    own = dataclasses.replace(frame(0.5), motion=EgoMotion(30.0, 0.0))
+    roads = [
+        data.road(each)
+        for data, each in (
+            (VehicleFiles(log=log), frame(0.0)),
+            (VehicleFiles(log=log), frame(0.5)),
+            (VehicleFiles(log=no_speed), frame(0.5)),
+            (VehicleFiles(log=no_speed), own),
+        )
+    ]
+    assert [road and round(road.points_m[-1, 0]) for road in roads] == [240, 230, 240, 225]
+
+
 def test_frames_carry_the_reports_of_the_production_system() -> None:
     log = CanLog()
     log.add_number("production", 2_000_000_000, 1.0)

@@ -69,10 +69,15 @@ class Latest(Generic[Value]):
 
     def at(self, timestamp_ns: int) -> Value | None:
         """The latest value at or before a time; None where there is none, or it is stale."""
+        found = self.with_age(timestamp_ns)
+        return None if found is None else found[0]
+
+    def with_age(self, timestamp_ns: int) -> tuple[Value, float] | None:
+        """As `at`, with the seconds since then."""
         index = bisect_right(self.times_ns, timestamp_ns + RESOLUTION_NS) - 1
         if index < 0 or timestamp_ns - self.times_ns[index] > self.stale_s * 1e9:
             return None
-        return self.values[index]
+        return self.values[index], max(timestamp_ns - self.times_ns[index] - RESOLUTION_NS, 0) / 1e9
 
     def forget(self, before_ns: int) -> None:
         """Drops the values before a time."""
@@ -115,8 +120,14 @@ class CanLog:
 
     def street(self, timestamp_ns: int) -> StreetMessage | None:
         """The street message of the latest position at or before a time; None if it is stale or unknown."""
+        found = self.street_with_age(timestamp_ns)
+        return None if found is None else found[0]
+
+    def street_with_age(self, timestamp_ns: int) -> tuple[StreetMessage, float] | None:
+        """As `street`, with the seconds since the position was sent."""
         with self._lock:
-            return self._streets.at(timestamp_ns)
+            found = self._streets.with_age(timestamp_ns)
+        return None if found is None or found[0] is None else (found[0], found[1])
 
     def motion(self, timestamp_ns: int) -> EgoMotion | None:
         """The latest speed and yaw rate at or before a time; None if either is stale or missing."""

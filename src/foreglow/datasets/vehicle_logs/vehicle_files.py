@@ -142,8 +142,12 @@ class VehicleFiles(VehicleData):
     def _road_by_message(self, frame: Frame) -> RoadAhead | None:
         if self._log is None or self._log.is_empty:
             return None
-        message = self._log.street(self._log_time_ns(frame, self._log))
-        return None if message is None else road_from_message(message)
+        found = self._log.street_with_age(self._log_time_ns(frame, self._log))
+        if found is None:
+            return None
+        message, age_s = found
+        motion = self.motion(frame) or (None if self.tells_motion else frame.motion)
+        return road_from_message(message, 0.0 if motion is None else max(motion.speed_mps, 0.0) * age_s)
 
     def _log_time_ns(self, frame: Frame, log: CanLog) -> int:
         return self._time_ns(frame, log.first_ns, log.last_ns, self._names[1])
