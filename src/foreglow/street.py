@@ -119,7 +119,11 @@ class StreetMessage(FrozenModel):
 def road_from_message(message: StreetMessage, travelled_m: float = 0.0) -> RoadAhead | None:
     """The road that the message describes, in the frame of a vehicle that follows the middle of the right lane.
 
-    The vehicle has travelled so far along it since the message. Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
+    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
+
+    Args:
+        message: The street message.
+        travelled_m: How far the vehicle has driven along the road since.
     """
     points = points_from_message(message, LANE_WIDTH_M / 2, travelled_m)
     if len(points) < 2:

@@ -22,7 +22,6 @@ from foreglow.config.stages import (
 from foreglow.files import checked_path, read_toml
 from foreglow.wording import check_one_of, shortened
 
-
 NONE = "none"
 """In a file, for a field without a value, such as no model: TOML has no word for it, and left out it would be that of
 the preset."""

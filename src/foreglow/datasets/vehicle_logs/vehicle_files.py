@@ -189,8 +189,8 @@ def open_vehicle_data(
     Raises:
         FileNotFoundError: If one of the files is missing.
         ModuleNotFoundError: If a CAN log is given, and the extra `can` is not installed.
-        ValueError: If a file is broken, a file is missing that goes with another, no pose is on a road of the map, or they are not
-            at its height.
+        ValueError: If a file is broken, a file is missing that goes with another, no pose is on a road of the map, or
+            they are not at its height.
     """
     if all(path is None for path in (calibration, can_log, dbc, mapping, road_map, poses)):
         raise ValueError("vehicle data: expected a calibration, a CAN log, or a map with poses, got none of them")
