@@ -380,6 +380,28 @@ def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
     assert "the beam needs the camera's calibration" in said  # so the images were found
 
 
+def test_frames_that_a_run_left_out_do_not_shift_those_of_a_video(tmp_path: Path) -> None:
+    """`cvat-video` counts frames: behind one that was skipped, each would have the light of the next."""
+    images = tmp_path / "images"
+    images.mkdir()
+    for path in sorted((shipped_drive() / "images").glob("*/*"))[:4]:
+        shutil.copy(path, images)
+    bad = sorted(images.iterdir())[1]
+    bad.write_bytes(bad.read_bytes()[:200])
+    run, guess = tmp_path / "run", tmp_path / "guess.xml"
+    for limit, number in ((1, 1), (3, 3)):
+        options = ("--out", run, "--on-error", "skip", "--limit", limit)
+        assert foreglow_command("run", images, *options).exit_code == 0
+        export = ("labels", "export", images, "--run", run, "--out", guess, "--format")
+        if limit > 1:
+            said = complaint(*export, "cvat-video")
+            assert f"{images}: expected every frame of a drive for cvat-video, the run has 1 of the 2 before frame" in said
+        result = foreglow_command(*export, "cvat" if limit > 1 else "cvat-video")
+        assert result.exit_code == 0, result.output
+        assert f"{number} image" in result.stdout
+        guess.unlink()
+
+
 def test_suggestions_that_somebody_has_edited_stay(run: Path, tmp_path: Path) -> None:
     runs = [tmp_path / name for name in "ab"]
     for path in runs:

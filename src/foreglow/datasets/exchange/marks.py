@@ -95,12 +95,14 @@ class LabelSet:
         lost: By what it is, how much the file has that is not here, or could not take.
         is_video: Whether the images are the frames of a video or a folder, by their order; names are then numbers.
         origin: Where the images are, for messages; empty where nobody says it.
+        gap: What is missing of a drive's frames before the last of the images, for messages; empty if nothing is.
     """
 
     images: tuple[ImageLabels, ...]
     lost: Mapping[str, int] = field(default_factory=dict)
     is_video: bool = False
     origin: str = ""
+    gap: str = ""
 
 
 def lost_lines(lost: Mapping[str, int]) -> list[str]:

@@ -138,8 +138,8 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
     unknown = set(chosen or ()) - guesses.keys()
     if unknown:
         raise ValueError(f"frames: expected numbers of frames of the run, got {min(unknown)}")
-    images, waiting = [], set(guesses)
-    for frame in frames:
+    images, waiting, gap = [], set(guesses), ""
+    for place, frame in enumerate(frames):
         if frame.frame not in waiting:
             continue
         waiting.remove(frame.frame)
@@ -151,6 +151,9 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
             )
         if chosen is None or frame.frame in chosen:
             size_px = frame.width_px, frame.height_px
+            known = frame.frame if isinstance(frames, Video) else place + len(frames.skipped)
+            if known > len(images) and not gap:
+                gap = f"the run has {len(images)} of the {known} before frame {frame.frame}"
             images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks))
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
@@ -159,7 +162,8 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}{reason}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
-    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=str(origin_of(frames) or frames.name))
+    origin = str(origin_of(frames) or frames.name)
+    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=origin, gap=gap)
 
 
 def _name_of(frame: Frame, frames: FrameSource) -> str:
@@ -195,6 +199,11 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     if form.has_names:
         for image in labels.images:
             plain_path(image.name, f"{labels.origin or path}: name of an image")
+    elif labels.gap:
+        raise ValueError(
+            f"{labels.origin}: expected every frame of a drive for {name}, {labels.gap}; choose --format cvat, which "
+            "has the images' names"
+        )
     text, lost = (form.guess_text if is_guess else form.text)(labels)
     write_atomic(path, with_labels_digest(text))
     return Counter(labels.lost) + lost
