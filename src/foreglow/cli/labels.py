@@ -88,6 +88,10 @@ def import_(
             "the images are renumbered, as they have other numbers in a run on their folder; evaluate and export-mot "
             "know which is which"
         )
+    if dataset.coco_ids:
+        lines.append(
+            f"the images have other numbers than in {source}: COCO's results by its ids are compared with {source} itself"
+        )
     typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
 
 

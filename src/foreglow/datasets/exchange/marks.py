@@ -78,12 +78,14 @@ class ImageLabels:
         size_px: Width and height; None where the tool does not say it.
         marks: The points, a vehicle's before those of its lights.
         categories: As in `LabelledSource.categories`, without NONE.
+        number: The id by which COCO's results name it; None where nobody gives it one.
     """
 
     name: str
     size_px: tuple[int, int] | None
     marks: tuple[Mark, ...] = ()
     categories: tuple[ImageCategory, ...] = ()
+    number: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
         categories = tuple(each for each in dataset.categories(image_id) if each != ImageCategory.NONE)
         name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
         size_px = record.width_px, record.height_px
-        images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories))
+        images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories, image_id))
     if not images:
         raise ValueError(f"{dataset.root}: frames: expected at least one image, got none")
     ordinary = _attributes(schema.Sequence.plain(0))
@@ -154,7 +154,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
             known = frame.frame if isinstance(frames, Video) else place + len(frames.skipped)
             if known > len(images) and not gap:
                 gap = f"the run has {len(images)} of the {known} before frame {frame.frame}"
-            images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks))
+            images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks, number=frame.frame))
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
     if waiting:
