@@ -228,7 +228,7 @@ class Recording(FileSource):
 
     def _lose_part(self, message: str) -> None:
         """As `_lose`, of a part of the container; an error says how to read the rest."""
-        self._lose(f"{message}; --on-error skip reads what is there" if self._on_error == "stop" else message)
+        self._lose(f"{message}; --on-error skip reads what is there" if self.on_error == "stop" else message)
 
     def _frame(self, image: Message, record: Message | None, index: int, shift: TimeShift | None) -> Frame:
         """The frame of an image; `shift` checks times where images have a record, None where they have none."""

@@ -216,7 +216,7 @@ class LabelFile(LabelledSource):
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""
         if given is not None and given.is_file():
-            return given.parent, Video(given, on_error=self._on_error)
+            return given.parent, Video(given, on_error=self.on_error)
         if given is not None and not given.is_dir():
             raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
         if given is not None:

@@ -164,7 +164,7 @@ class Video(FileSource):
                     if picture is not None and picture.pts is not None and picture.time_base:
                         end = (int(picture.pts) + (picture.duration or 0)) * Fraction(picture.time_base)
                         reached_ns = max(reached_ns, round(end * 1_000_000_000))
-                    if is_damaged and (picture is None or self._on_error != "mark"):
+                    if is_damaged and (picture is None or self.on_error != "mark"):
                         self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
                         continue
                     timestamp_ns = self._timestamp_ns(index, picture, latest)
