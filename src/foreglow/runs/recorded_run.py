@@ -17,6 +17,7 @@ import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
 from foreglow.datasets import FrameSource, LabelledSource, open_source
+from foreglow.datasets.exchange import is_labels
 from foreglow.datasets.source import also_left_out
 from foreglow.files import checked_path
 from foreglow.outputs import check_kinds, check_outputs, exists
@@ -264,7 +265,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
 
 
 def doubt_about_source(run: Path, source: Path) -> str | None:
-    """A line if nothing tells whether the run in `run` was made from `source`, and its name is another; else None.
+    """A line if nothing tells whether the run in `run` was made from `source`, and it has another name; else None.
 
     Raises:
         FileNotFoundError: If the run has no summary.
@@ -276,7 +277,8 @@ def doubt_about_source(run: Path, source: Path) -> str | None:
         if digests[0] != digests[1]:
             raise ValueError(f"{source}: expected what {run} was made from, {summary.source}, got something else")
         return None
-    is_named_so = source.absolute().name == Path(summary.source).name
+    named, known = source.absolute(), Path(summary.source)
+    is_named_so = named == known if is_labels(source) else named.name == known.name  # many are called labels.xml
     return None if is_named_so else f"{source}: taken for what {run} was made from, which was {summary.source}"
 
 
