@@ -426,7 +426,9 @@ def test_frames_that_a_run_left_out_do_not_shift_those_of_a_video(tmp_path: Path
         export = ("labels", "export", images, "--run", run, "--out", guess, "--format")
         if limit > 1:
             said = complaint(*export, "cvat-video")
-            assert f"{images}: expected every frame of a drive for cvat-video, the run has 1 of the 2 before frame" in said
+            assert (
+                f"{images}: expected every frame of a drive for cvat-video, the run has 1 of the 2 before frame" in said
+            )
         result = foreglow_command(*export, "cvat" if limit > 1 else "cvat-video")
         assert result.exit_code == 0, result.output
         assert f"{number} image" in result.stdout

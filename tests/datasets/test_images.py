@@ -444,7 +444,9 @@ def test_a_tiff_in_which_white_is_0_is_read_right_or_refused(tmp_path: Path) -> 
     path.write_bytes(tiff(np.full((80, 96, 1), 250, np.uint8), meaning=0))
     assert (read_image(path) == 5).all()
     path.write_bytes(tiff(np.full((80, 96, 1), 65000, np.uint16), meaning=0))
-    with pytest.raises(ValueError, match=r"night\.tif: expected a TIFF in which 0 is black, got one in which it is white"):
+    with pytest.raises(
+        ValueError, match=r"night\.tif: expected a TIFF in which 0 is black, got one in which it is white"
+    ):
         read_image(path)
     path.write_bytes(tiff(np.full((80, 96, 1), 500, np.uint16), meaning=1))
     assert (read_image(path) == 500).all()

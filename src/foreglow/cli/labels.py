@@ -91,7 +91,8 @@ def import_(
         )
     if dataset.coco_ids:
         lines.append(
-            f"the images have other numbers than in {source}: COCO's results by its ids are compared with {source} itself"
+            f"the images have other numbers than in {source}: COCO's results by its ids are compared with {source} "
+            "itself"
         )
     typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
 

@@ -195,7 +195,9 @@ class ImageFolder(FileSource):
         """Lines for people, if need be: what is assumed of the times of several images, which are missing by their
         numbers, and folders below with images.
         """
-        rate = f"{self.path}: images have no times: taken for {self.rate_hz:g} frames a second; speeds, leads and delays"
+        rate = (
+            f"{self.path}: images have no times: taken for {self.rate_hz:g} frames a second; speeds, leads and delays"
+        )
         lines = [f"{rate} follow from it (`ffmpeg -framerate RATE` makes a video of them, which has times)"]
         lines = lines * (len(self) > 1) + [_missing(self.path, self._numbers, self._steps)]
         if self.path.is_dir():

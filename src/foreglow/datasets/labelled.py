@@ -118,7 +118,7 @@ class LabelledSource(FileSource, ABC):
 
     @property
     def mean_rate_hz(self) -> float:
-        """Frames a second by the times of the selected images, at most `rate_hz`: lower where only some are labelled."""
+        """Frames a second by the times of the selected images, at most `rate_hz`: lower where only some are there."""
         times_s: dict[int, list[float]] = {}
         for image_id in self.frame_ids:
             times_s.setdefault(self.sequence(image_id).id, []).append(self.time_s(image_id))

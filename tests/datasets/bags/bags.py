@@ -144,7 +144,9 @@ def make_mcap(
         number = writer.register_schema(schema.name, schema.encoding, schema.data)
         cameras = {**others, TOPIC: pictures}
         channels = {topic: writer.register_channel(topic, "protobuf", number) for topic in cameras}
-        for index, (topic, image) in ((k, (topic, cameras[topic][k])) for k in range(len(pictures)) for topic in cameras):
+        for index, (topic, image) in (
+            (k, (topic, cameras[topic][k])) for k in range(len(pictures)) for topic in cameras
+        ):
             message = messages.RawImage(
                 timestamp=messages.Timestamp(sec=0, nsec=index * STEP_NS),
                 height=image.shape[0],
