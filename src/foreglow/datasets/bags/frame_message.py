@@ -165,9 +165,18 @@ class FrameMessage:
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
-        car = frame.camera, frame.motion, frame.road
-        source = frame.is_damaged, frame.is_reported, frame.red_chroma, frame.earlier
-        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, *source)
+        return cls(
+            frame=frame.frame,
+            sequence=frame.sequence,
+            timestamp_ns=frame.timestamp_ns,
+            camera=frame.camera,
+            motion=frame.motion,
+            road=frame.road,
+            is_damaged=frame.is_damaged,
+            is_reported=frame.is_reported,
+            red_chroma=frame.red_chroma,
+            earlier=frame.earlier,
+        )
 
     def to_json(self) -> bytes:
         """The message as JSON."""
