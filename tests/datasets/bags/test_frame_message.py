@@ -76,7 +76,7 @@ def test_an_earlier_image(dtype: type[np.uint8] | type[np.uint16]) -> None:
     frame = Frame(images[1], 500, 17, "S00001", earlier=Frame(images[0], 250, 17, "S00001"))
     found = returned(frame).earlier
     assert found is not None
-    assert (found.timestamp_ns, found.frame, found.sequence, found.image.dtype) == (250, 17, "S00001", dtype)
+    assert (found.timestamp_ns, found.frame, found.sequence, found.image.dtype) == (250, 17, "S00001", np.dtype(dtype))
     np.testing.assert_array_equal(found.image, images[0])
     fields = json.loads(FrameMessage.of(frame).to_json())
     for field, value, words in (

@@ -138,7 +138,8 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
     unknown = set(chosen or ()) - guesses.keys()
     if unknown:
         raise ValueError(f"frames: expected numbers of frames of the run, got {min(unknown)}")
-    images, waiting, gap = [], set(guesses), ""
+    images: list[ImageLabels] = []
+    waiting, gap = set(guesses), ""
     for place, frame in enumerate(frames):
         if frame.frame not in waiting:
             continue
