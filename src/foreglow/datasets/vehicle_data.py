@@ -179,8 +179,9 @@ def how_read(source: FrameSource) -> dict[str, str | None]:
     """`topic` and `on_error` of what `source` reads, by which it is read the same way again; None of other sources."""
     if isinstance(source, Equipped):
         return how_read(source.source)
-    is_file = isinstance(source, FileSource)
-    return {"topic": source.topic if is_file else None, "on_error": source.on_error if is_file else None}
+    if isinstance(source, FileSource):
+        return {"topic": source.topic, "on_error": source.on_error}
+    return {"topic": None, "on_error": None}
 
 
 def part_names(source: FrameSource) -> tuple[str, ...]:
