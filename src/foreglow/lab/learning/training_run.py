@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from scipy.special import expit
 
 from foreglow.checksums import check_as_written, replace_results
-from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.config import PipelineConfig, config_to_toml, read_config
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
 from foreglow.files import check_each_once, json_text
@@ -149,6 +149,16 @@ def check_apart(learnt: Sequence[Path], judging: Sequence[Path], data: Sequence[
         outer = next((each for each in data if path in data and each.resolve() in path.resolve().parents), None)
         if outer is not None:
             raise ValueError(f"{path}: expected a split outside the data sets that are given, got one of {outer}")
+
+
+def training_configuration(model: Path, base: PipelineConfig | None = None) -> PipelineConfig | None:
+    """The configuration that a training has written beside its model; None for a model elsewhere.
+
+    Raises:
+        ValueError: If it is broken.
+    """
+    file = model.with_name(CONFIG)
+    return read_config(file, base) if model.name == MODEL and file.is_file() else None
 
 
 def sample_counts(samples: Samples) -> dict[str, int]:

@@ -17,6 +17,7 @@ from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_co
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import file_digest, read_plain_json, to_json, write_json_results
+from foreglow.inputs import files_of
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.learning.kept_files import checksum_of
 from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
@@ -30,7 +31,6 @@ from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.scores import POLICY_ROWS, GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.lab.studies.paper_chain import paper_chain
-from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 from foreglow.whole_files import together, write_atomic
@@ -207,7 +207,7 @@ def _check_rates(wanted: Sequence[NamedScene], config: PipelineConfig) -> None:
 
 
 class _Claimed(Record):
-    """What `plan.json` says: digests of the whole, of models and of scenes."""
+    """What `plan.json` says: digests of the whole, of models and other files of the configurations, and of scenes."""
 
     digest: str = ""
     models: dict[str, str] = Field(default_factory=dict)
@@ -217,8 +217,8 @@ class _Claimed(Record):
 def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequence[NamedScene]) -> None:
     """Writes the plan to the folder, or checks that the plan that is there is the same, and so is what both drive."""
     about: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
-    models = (each.classifier.model for each in (config, *plan.others(config).values()))
-    files = {str(model): file_digest(model_path(model)) for model in models if model is not None}
+    named = (files_of(each) for each in (config, *plan.others(config).values()))
+    files = {name: file_digest(path) for found in named for name, path in found.items()}
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
     file = folder / PLAN
     if file.exists():
