@@ -322,6 +322,22 @@ def test_drives_of_other_lamps_are_not_added(tmp_path: Path) -> None:
         begin()
 
 
+def test_drives_of_another_version_are_not_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stopped(Local):
+        def each(self, *_: object, **__: object) -> Never:
+            raise KeyboardInterrupt
+
+    scenes, out = write_scenes_of(tmp_path, scene()), tmp_path / "out"
+    for version, commit in (("1", "a"), ("1", "b"), ("1", "a"), ("2", "c")):
+        monkeypatch.setattr(run, "provenance", lambda made={"version": version, "commit": commit}: made)
+        with pytest.raises((ValueError, KeyboardInterrupt)) as stopped:
+            run_experiment(
+                scenes, config(), GlarePlan(quality="fast"), out, workers=Stopped(), progress=lambda *_: None
+            )
+    assert "plan.json: version: expected 1, which drove the scenes here, got 2; choose another folder" in str(stopped)
+    assert json.loads((out / "plan.json").read_text())["commits"] == ["a", "b"]
+
+
 def test_a_car_that_cannot_be_made_leaves_no_folder(tmp_path: Path) -> None:
     """What it left would keep the corrected command out."""
     scenes, out = write_scenes_of(tmp_path, scene()), tmp_path / "out"

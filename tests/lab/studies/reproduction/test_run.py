@@ -81,6 +81,10 @@ def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypat
     calls.clear()
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert calls == ["detector", "distance", "glare"]
+    calls.clear()
+    monkeypatch.setattr(run.metadata, "version", lambda _: "another one")
+    run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
+    assert len(calls) == len(EXPERIMENTS)
 
 
 def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

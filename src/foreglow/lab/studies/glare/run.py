@@ -207,9 +207,13 @@ def _check_rates(wanted: Sequence[NamedScene], config: PipelineConfig) -> None:
 
 
 class _Claimed(Record):
-    """What `plan.json` says: digests of the whole, of models and other files of the configurations, and of scenes."""
+    """What `plan.json` says: digests of the whole, of models and other files of the configurations, and of scenes; and
+    which version drove them, with all commits of it that did.
+    """
 
     digest: str = ""
+    version: str = ""
+    commits: list[str | None] = Field(default_factory=list)
     models: dict[str, str] = Field(default_factory=dict)
     scenes: dict[str, str] = Field(default_factory=dict)
 
@@ -220,9 +224,16 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
     named = (files_of(each) for each in (config, *plan.others(config).values()))
     files = {name: file_digest(path) for found in named for name, path in found.items()}
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
-    file = folder / PLAN
+    file, made_with = folder / PLAN, provenance()
+    commits = [made_with["commit"]]
     if file.exists():
         known = read_json(file, _Claimed)
+        if known.version not in ("", made_with["version"]):
+            raise ValueError(
+                f"{file}: version: expected {known.version}, which drove the scenes here, got {made_with['version']}; "
+                "choose another folder"
+            )
+        commits = list(dict.fromkeys([*known.commits, *commits]))
         if known.digest != about["digest"]:
             raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
         for kind, digests, before in (("models", files, known.models), ("scenes", scenes, known.scenes)):
@@ -230,9 +241,9 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
             if other is not None:
                 raise ValueError(f"{file}: {kind}: expected {other} as it was here before; choose another folder")
             digests |= before
-    about |= {"models": files, "scenes": scenes}
+    about |= {"models": files, "scenes": scenes, "commits": commits}
     with together():
-        write_json_results(file, about | provenance(), indent=2)
+        write_json_results(file, about | made_with, indent=2)
         write_atomic(folder / CONFIG, config_to_toml(config).encode())
 
 

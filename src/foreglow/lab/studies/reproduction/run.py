@@ -10,6 +10,7 @@ import shlex
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -181,9 +182,11 @@ def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
 
 
 def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
-    """Digest of what decides an experiment's results: data, options, models; not the folder, which may be moved."""
+    """Digest of what decides an experiment's results: data, options, models, our version; not the folder, which may be
+    moved.
+    """
     words = EXPERIMENTS[name].command(plan, out / name)
-    parts = [data_digest, *(str(word).replace(str(out), "") for word in words)]
+    parts = [metadata.version("foreglow"), data_digest, *(str(word).replace(str(out), "") for word in words)]
     parts += [split_digest(split_in(word, "test")) for word in words if word in plan.straight]
     given = [word for word in words if isinstance(word, Path) and not word.is_relative_to(out / name)]
     parts += [given_digest(row, path) for row, path in plan.models.items() if path in given]
