@@ -5,14 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from foreglow.models import model_path
 from foreglow.outputs import exists
 from foreglow.own_folders import RESULT_NAMES
-
-if TYPE_CHECKING:
-    from foreglow.config import PipelineConfig
 
 SPLIT_PARTS = ("images", "labels")
 """Folders of a split in PVDN's format; one sequence of it is read with the labels of all."""
@@ -42,14 +37,6 @@ def named_by(inputs: Mapping[str, Path]) -> dict[str, Path]:
                     found.setdefault(name, each)
                     waiting.append((name, each))
     return found
-
-
-def files_of(config: PipelineConfig) -> dict[str, Path]:
-    """The files that decide what a pipeline does beside its configuration, by name: models, lamps and their tables."""
-    sections = config.model_dump().values()
-    given = {str(each): model_path(each) for fields in sections for each in fields.values() if isinstance(each, Path)}
-    texts = {name: path for name, path in given.items() if path.suffix.lower() == ".toml"}
-    return {name: path for name, path in (given | named_by(texts)).items() if path.is_file()}
 
 
 def _named_in(label: str, path: Path) -> Iterator[tuple[str, Path]]:

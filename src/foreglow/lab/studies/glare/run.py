@@ -17,7 +17,6 @@ from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_co
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import file_digest, read_plain_json, to_json, write_json_results
-from foreglow.inputs import files_of
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.learning.kept_files import checksum_of
 from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
@@ -25,6 +24,7 @@ from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
 from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
+from foreglow.lab.studies.config_files import files_of
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone

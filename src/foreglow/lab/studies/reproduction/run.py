@@ -19,7 +19,7 @@ from pydantic import RootModel
 from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import file_digest, read_plain_json, write_json_results
-from foreglow.inputs import files_of
+from foreglow.lab.studies.config_files import files_of
 from foreglow.lab.studies.detector.rows import check_given, given_digest, split_digest
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
