@@ -129,7 +129,7 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
 def _code_digest() -> str:
     """SHA-256 of the code that makes boxes and crops, so that samples of older code are not used."""
     folders = (Path(proposals.__file__).parent, Path(classifier.__file__).parent)
-    own = [Path(module.__file__) for module in (annotation, lights, samples)]
+    own = [Path(str(module.__file__)) for module in (annotation, lights, samples)]
     files = [Path(_native.__file__), *own, *(path for folder in folders for path in sorted(folder.glob("*.py")))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 

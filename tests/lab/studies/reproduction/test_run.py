@@ -82,7 +82,7 @@ def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypat
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert calls == ["detector", "distance", "glare"]
     calls.clear()
-    monkeypatch.setattr(run.metadata, "version", lambda _: "another one")
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "another one")
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert len(calls) == len(EXPERIMENTS)
 
