@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ from foreglow.lab.evaluation.boxes.robustness import (
     noise_level,
     rain,
 )
-from foreglow.types import Frame, Image
+from foreglow.types import EgoMotion, Frame, Image
 from tests.stand_ins import night_image
 
 IMAGE = night_image(3, 240, 640)
@@ -117,3 +119,18 @@ def test_images_of_one_pixel() -> None:
         assert disturbance(single).image.shape == (1, 1)
     assert noise_level(np.zeros((1, 1), np.float32)) == 0.0
     assert black_level(np.full((3, 3), 4.0, np.float32)) == 4.0
+
+
+@pytest.mark.parametrize("disturbance", DISTURBANCES, ids=name_of)
+def test_all_else_that_a_frame_has_stays(disturbance: Disturbance) -> None:
+    """Without the image before, a model that reads it was judged as at a drive's start, also as it is."""
+    before = Frame(night_image(4, 240, 640), timestamp_ns=1, frame=9, path="before")
+    motion = EgoMotion(speed_mps=20.0, yaw_rate_radps=0.0)
+    changed = disturbance(dataclasses.replace(FRAME, earlier=before, motion=motion))
+    assert changed.motion == motion
+    assert changed.earlier is not None
+    assert (changed.earlier.timestamp_ns, changed.earlier.path) == (1, "before")
+    assert np.array_equal(changed.earlier.image, before.image) == (disturbance is UNDISTURBED)
+    assert np.array_equal(changed.image, disturbance(FRAME).image)
+    noises = [each.astype(int) for each in (changed.earlier.image, disturbance(before).image)]
+    assert np.array_equal(*noises) == (not disturbance.name.startswith(("noise", "haze", "rain"))), "noise of its own"

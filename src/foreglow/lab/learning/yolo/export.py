@@ -22,6 +22,7 @@ from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
+from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.kept_files import file_checksum, state_of
 from foreglow.own_files import has_title, named_png
 from foreglow.own_folders import EXPORT, UNFINISHED_EXPORT, check_new
@@ -107,6 +108,8 @@ def export_yolo(
     wanted = existing_splits(data, splits)
     if not wanted:
         raise FileNotFoundError(f"{data}: expected one of the splits {', '.join(splits)}, found none")
+    learnt = [wanted["train"]] if "train" in wanted else []
+    check_apart(learnt, [path for path in wanted.values() if path not in learnt])
     is_annotated = preset_name is None and all(
         any((found / "labels" / "bounding_boxes").glob("*.json")) for found in wanted.values()
     )
