@@ -362,7 +362,9 @@ def test_the_missing_extra_is_named(tmp_path: Path, run: Path, monkeypatch: pyte
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("restore_s", "brightening_s", "ramp_s"), [(0.2, 0.5, 0.6), (10.0, 0.5, 3.0), (1.0, 60.0, 3.0)])
+@pytest.mark.parametrize(
+    ("restore_s", "brightening_s", "ramp_s"), [(0.2, 0.5, 0.6), (10.0, 0.5, 3.0), (1.0, 60.0, 3.0)]
+)
 def test_lamps_that_take_gaps_brighten_no_faster_than_the_guard_lets_leds(
     restore_s: float, brightening_s: float, ramp_s: float
 ) -> None:
