@@ -8,19 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.photometry import Headlamp, Headlamps, IntensityTable, low_beam, read_headlamps
-from foreglow.photometry.matrix import measured_lamp
+from foreglow.photometry import Headlamp, Headlamps, IntensityTable, MatrixLamp, read_headlamps
 
 AZIMUTHS_DEG = np.concatenate([[-180.0], np.arange(-7.0, 7.1, 0.2), [180.0]])
 ELEVATIONS_DEG = np.concatenate([[-90.0], np.arange(-4.0, 5.1, 0.2), [90.0]])
 
 
-def spotted(rng: np.random.Generator, step_deg: float) -> IntensityTable:
-    """Light in single nodes of a table, dark between them."""
+def spotted(rng: np.random.Generator, step_deg: float) -> MatrixLamp:
+    """Three LEDs with light in single nodes of their tables, dark between them."""
     azimuths = np.arange(-4.0, 4.0, step_deg) + rng.uniform(0, step_deg)
     elevations = np.arange(-2.0, 3.0, step_deg) + rng.uniform(0, step_deg)
-    shape = len(elevations), len(azimuths)
-    return IntensityTable(azimuths, elevations, np.where(rng.random(shape) < 0.1, 1e4 * rng.random(shape), 0.0))
+    shape = 3, len(elevations), len(azimuths)
+    leds_cd = np.where(rng.random(shape) < 0.1, 1e4 * rng.random(shape), 0.0).astype(np.float32)
+    base = IntensityTable(azimuths, elevations, np.zeros(shape[1:]))
+    return MatrixLamp(base, slice(0, shape[2]), slice(0, shape[1]), leds_cd, np.zeros(3), np.zeros(3), 3)
 
 
 def shone(lamps: Headlamps, azimuths_deg: Floats, elevations_deg: Floats) -> Floats:
@@ -34,7 +35,7 @@ def shone(lamps: Headlamps, azimuths_deg: Floats, elevations_deg: Floats) -> Flo
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.13, 0.2, 0.3, 1.0]), st.booleans())
 def test_nothing_is_brighter(seed: int, step_deg: float, is_turned: bool) -> None:
     rng = np.random.default_rng(seed)
-    matrix = measured_lamp(low_beam(), [spotted(rng, step_deg) for _ in range(3)], 3)
+    matrix = spotted(rng, step_deg)
     left, right = (
         Pose(np.array([3.6, y_m, 0.7]), rotation(*(np.radians(rng.uniform(-5, 5, 2)) * is_turned)))
         for y_m in (0.6, -0.6)

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.resampling import MAX_CELLS, bilinear
+from foreglow.photometry.resampling import MAX_CELLS, bilinear, check_kept
 from foreglow.wording import shortened
 
 NUM_LEDS = 84
@@ -181,7 +181,8 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
         num_columns: LEDs in a row.
 
     Raises:
-        ValueError: If an LED is dark everywhere; the message has its number. If there are too many.
+        ValueError: If an LED is dark everywhere, or too fine for the table; the message has its number. If there are
+            too many.
     """
     _check_num_leds(len(leds), "LEDs")
     for number, led in enumerate(leds):
@@ -203,6 +204,9 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
     _check_num_cells(len(leds), rows, columns)
     azimuths, elevations = base.azimuths_deg[columns], base.elevations_deg[rows]
     tables = np.stack([_sampled(led, azimuths, elevations) for led in leds])
+    steps_deg = _step(azimuths), _step(elevations)
+    for number, (led, table) in enumerate(zip(leds, tables, strict=True)):
+        check_kept(float(led.intensities_cd.max()), float(table.max()), steps_deg, f"LED {number}")
     left = np.array([np.average(azimuths, weights=table.sum(0)) for table in tables])
     up = np.array([np.average(elevations, weights=table.sum(1)) for table in tables])
     return MatrixLamp(base, columns, rows, _frozen(tables), left, up, num_columns)
