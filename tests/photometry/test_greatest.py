@@ -20,7 +20,7 @@ def spotted(rng: np.random.Generator, step_deg: float) -> MatrixLamp:
     elevations = np.arange(-2.0, 3.0, step_deg) + rng.uniform(0, step_deg)
     shape = 3, len(elevations), len(azimuths)
     leds_cd = np.where(rng.random(shape) < 0.1, 1e4 * rng.random(shape), 0.0).astype(np.float32)
-    base = IntensityTable(azimuths, elevations, np.zeros(shape[1:]))
+    base = IntensityTable(azimuths, elevations, np.zeros(shape[1:], np.float32))
     return MatrixLamp(base, slice(0, shape[2]), slice(0, shape[1]), leds_cd, np.zeros(3), np.zeros(3), 3)
 
 

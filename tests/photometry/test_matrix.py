@@ -77,7 +77,7 @@ def test_leds_lose_no_peak_between_the_angles_of_the_table(sigma_deg: float, is_
     """A guard would let more light than it knows of shine at a vehicle."""
     azimuths, elevations = np.arange(-3.0, 3.01, 0.1) + 0.04, np.arange(-1.0, 2.01, 0.1) + 0.05
     square = (azimuths - azimuths[30]) ** 2 + (elevations[:, np.newaxis] - elevations[10]) ** 2
-    led = IntensityTable(azimuths, elevations, 30_000.0 * np.exp(-0.5 * square / sigma_deg**2))
+    led = IntensityTable(azimuths, elevations, (30_000.0 * np.exp(-0.5 * square / sigma_deg**2)).astype(np.float32))
     if is_kept:
         assert measured_lamp(low_beam(), [led], 1).leds_cd.max() > 0.75 * 30_000.0
     else:

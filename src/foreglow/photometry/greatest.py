@@ -51,7 +51,9 @@ def greatest_cd(
         )
         leds = np.flatnonzero((below.max(axis=1) > 0) | (above.max(axis=1) > 0))
         if len(leds):
-            nodes = np.pad(np.stack([below[leds].T, above[leds].T]), ((0, 0), (1, 1), (0, 0)))  # (2, columns, leds)
+            nodes = np.pad(
+                np.stack([below[leds].T, above[leds].T]).astype(np.float64), ((0, 0), (1, 1), (0, 0))
+            )  # (2, columns, leds)
             parts = _greatest_of_four(_between(_between(nodes, num_up).swapaxes(0, 1), num_across).swapaxes(0, 1))
             spans = _spans_deg(fine_deg, _between(np.array(ends_deg), num_up), vehicle_from_lamp)
             _raise(found, leds, parts, _cells(spans[0], azimuths_deg), _cells(spans[1], elevations_deg), shape[1])
