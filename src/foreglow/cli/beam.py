@@ -70,7 +70,11 @@ def beam(
         stepper, images, num_frames = _replay(source, configuration)
         origin = read_summary(source / "summary.json")
         limit = min(num_frames, reading.limit or num_frames)
-        reading = dataclasses.replace(reading, limit=limit, on_error="skip" if origin.num_skipped else "mark")
+        if None not in (reading.topic, origin.topic) and reading.topic != origin.topic:
+            raise ValueError(f"--topic: expected none, or {origin.topic} as in {source}, got {reading.topic}")
+        skips = origin.on_error == "skip" or (origin.on_error is None and origin.num_skipped > 0)
+        on_error = "skip" if skips else "mark"
+        reading = dataclasses.replace(reading, limit=limit, on_error=on_error, topic=origin.topic or reading.topic)
         say_lack(source)
     else:
         stepper, images = Pipeline(configuration), source

@@ -7,6 +7,7 @@ Grey levels are those of 8 bits; images of 16 bits are disturbed on their own sc
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import zlib
@@ -65,14 +66,18 @@ class Disturbance:
     apply: Callable[[Pixels, float, np.random.Generator], Pixels]
 
     def __call__(self, frame: Frame, seed: int = 0) -> Frame:
-        """`frame` with a disturbed image, rounded and cut to its range; the same one for the same seed and image."""
+        """`frame` with a disturbed image, rounded and cut to its range; the same one for the same seed and image.
+
+        So is the earlier image beside it; all else stays, also the chroma, by which no light is found or missed.
+        """
+        earlier = None if frame.earlier is None else self(frame.earlier, seed + 1)
         rng = np.random.default_rng([seed, frame.frame, zlib.crc32(self.name.encode())])
         full = float(np.iinfo(frame.image.dtype).max)
         pixels = frame.image * np.float32(255.0 / full)
         disturbed = self.apply(pixels, black_level(pixels), rng) * np.float32(full / 255.0)
         np.rint(np.clip(disturbed, 0.0, np.float32(full), out=disturbed), out=disturbed)
         image = cast("Image", disturbed.astype(frame.image.dtype))
-        return Frame(image, frame.timestamp_ns, frame.frame, frame.sequence, frame.path)
+        return dataclasses.replace(frame, image=image, earlier=earlier)
 
 
 def gain(factor: float) -> Disturbance:
