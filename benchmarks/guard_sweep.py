@@ -11,16 +11,16 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, options, table, write_results
 from foreglow.beam.guard import Guard
 from foreglow.beam.known_images import NUM_KNOWN
-from foreglow.beam.led_bounds import Lamps
+from foreglow.beam.led_bounds import Lamps as GuardedLamps
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.photometry import read_headlamps
@@ -46,8 +46,8 @@ def _image(seed: int) -> Image:
 
 IMAGES = [_image(seed) for seed in range(2 * NUM_KNOWN + 2)]  # so many that none comes again soon
 
-EXCESS = 1.02
-"""A limit may be exceeded by so much: the guard's table has steps of 0.2 degrees; LEDs may be brighter in between."""
+EXCESS = 1.00001
+"""A limit may be exceeded by so much, for rounding."""
 
 
 NEAR_DEG = 2.0
@@ -56,6 +56,14 @@ NEAR_DEG = 2.0
 
 DIPPED = 0.7
 """Level of some neighbouring LEDs of either lamp, while the others are at full."""
+
+
+class Lamps(GuardedLamps, Protocol):
+    """Lamps, and what they shine in a direction, of which the guard knows nothing."""
+
+    def intensities_cd(self, directions: ArrayLike, /) -> tuple[Floats, Floats]:
+        """Of the low beams, shape (P, 2), and of the LEDs at level 1, shape (P, 2, L)."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -358,6 +358,12 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
         "headlamps", "a.toml", text(changed(grid_headlamps(""), half_width_deg="1e-6", reach_width_deg="2e-6")),
         "grid.half_width_deg: Input should be greater",
     ),
+    "more LEDs than a guard has tables for": (
+        "headlamps", "a.toml",
+        text(changed(grid_headlamps(""), num_columns="512", pitch_deg="0.1", half_width_deg="3.0",
+                     reach_width_deg="3.0", row_elevations_deg="[0.0, 0.5, 1.0]", row_peaks_cd="[1e4, 1e4, 1e4]")),
+        "expected at most 1024 LEDs in all rows, got 1536",
+    ),
     "a fine step of LEDs in a wide lamp": (
         "headlamps", "a.toml",
         text(changed(grid_headlamps(""), half_width_deg="0.05", reach_width_deg="80.0", half_height_deg="0.05",
@@ -365,8 +371,8 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     ),
     "a lot of LEDs": (
         "headlamps", "a.toml",
-        text(changed(grid_headlamps(""), num_columns="512", pitch_deg="0.1",
-                     row_elevations_deg=str([k / 10 for k in range(64)]), row_peaks_cd=str([1.0] * 64),
+        text(changed(grid_headlamps(""), num_columns="100", pitch_deg="0.1",
+                     row_elevations_deg=str([k / 10 for k in range(10)]), row_peaks_cd=str([1.0] * 10),
                      reach_width_deg="30.0", reach_height_deg="30.0")), "LEDs: ",
     ),
     "a wide TIFF": ("frames", "a.tif", tiff(30_000), "8192 px a side, got 30000x30000"),

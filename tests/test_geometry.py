@@ -106,7 +106,8 @@ def test_a_scaled_camera_sees_the_same_directions() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"width_px": 0}, {"focal_px": (0.0, 1.0)}, {"focal_px": (np.nan, 1.0)}, {"centre_px": (np.inf, 1.0)},
+    [{"width_px": 0}, {"focal_px": (0.0, 1.0)}, {"focal_px": (np.nan, 900.0)}, {"centre_px": (np.inf, 1.0)},
+     {"focal_px": (900.0, np.nan)}, {"focal_px": (900.0, np.inf)}, {"centre_px": (1.0, np.nan)},
      {"distortion": (np.nan, 0.0, 0.0, 0.0, 0.0)}, {"distortion": (0.0, 0.0, 0.0, 0.0, 1e7)},
      {"focal_px": (1e7, 1.0)}, {"centre_px": (1e6, 1.0)}, {"centre_px": (640.0, -2561.0)},
      {"width_px": 2**70}, {"height_px": 2**20 + 1}, {"focal_px": (4.2, 4.2)}],
@@ -114,6 +115,14 @@ def test_a_scaled_camera_sees_the_same_directions() -> None:
 def test_bad_cameras(changes: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="Camera"):
         camera(**changes)
+
+
+def test_numbers_of_a_camera_do_not_change_later() -> None:
+    focal_px = np.array([900.0, 900.0])
+    made = camera(focal_px=focal_px)
+    focal_px[0] = 1.0
+    assert made.focal_px == (900.0, 900.0)
+    assert made == camera(focal_px=[900.0, 900.0], vehicle_from_camera=made.vehicle_from_camera)
 
 
 @pytest.mark.parametrize(

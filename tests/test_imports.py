@@ -101,7 +101,7 @@ ALLOWED: dict[str, set[str]] = {
     | {"models", "folder_lock", "checksums", "outputs", "own_folders", "lab.simulation", "lab.evaluation"},
     "lab.reports": CAR | {"checksums", "outputs", "own_folders", "lab.simulation", "lab.evaluation", "lab.learning"},
     "lab.studies": CAR
-    | {"models", "command_line", "options", "checksums"}
+    | {"models", "command_line", "options", "checksums", "inputs"}
     | {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports"},
     "foreglow": CAR | LAB,
     "cli": CAR | LAB | {"command_line", "options", "folder_lock", "outputs", "own_folders", "foreglow"},

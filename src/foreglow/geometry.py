@@ -321,8 +321,12 @@ class Camera:
             expected = f"expected a size of 1x1 to {MAX_IMAGE_SIDE_PX}x{MAX_IMAGE_SIDE_PX}"
             raise ValueError(f"Camera: {expected}, got {shortened(f'{self.width_px}x{self.height_px}')}")
         for name, count in (("focal_px", 2), ("centre_px", 2), ("distortion", 5)):
-            if checked_floats(f"Camera.{name}", getattr(self, name)).shape != (count,):
+            numbers = checked_floats(f"Camera.{name}", getattr(self, name))
+            if numbers.shape != (count,):
                 raise ValueError(f"Camera.{name}: expected {count} numbers, got {shortened(getattr(self, name))}")
+            if not np.isfinite(numbers).all():
+                raise ValueError(f"Camera.{name}: expected finite numbers, got {getattr(self, name)}")
+            object.__setattr__(self, name, tuple(numbers.tolist()))  # what is compared and cannot change later
         for name, kind in (("vehicle_from_camera", Pose), ("mount_sigmas", MountSigmas)):
             if not isinstance(getattr(self, name), kind):
                 got = type(getattr(self, name)).__name__
@@ -330,9 +334,6 @@ class Camera:
         if not (min(self.focal_px) > 0 and max(self.focal_px) <= MAX_FOCAL_PX):
             expected = f"expected two positive numbers of at most {MAX_FOCAL_PX:g}"
             raise ValueError(f"Camera.focal_px: {expected}, got {self.focal_px}")
-        for name in ("centre_px", "distortion"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise ValueError(f"Camera.{name}: expected finite numbers, got {getattr(self, name)}")
         check_lens((self.width_px, self.height_px), self.focal_px, "Camera.focal_px")
         check_centre(self.centre_px, (self.width_px, self.height_px), "Camera.centre_px")
         if max(map(abs, self.distortion)) > MAX_DISTORTION:

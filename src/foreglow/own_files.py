@@ -142,6 +142,16 @@ def named_png(png: bytes, title: str) -> bytes:
     return png[:_PNG_HEADER] + chunk + png[_PNG_HEADER:]
 
 
+def has_title(path: Path, title: str) -> bool:
+    """Whether the file at `path` begins as a PNG with this title, as `named_png` makes it.
+
+    Raises:
+        OSError: If there is no such file, or it cannot be read.
+    """
+    head = _head(path)
+    return named_png(head[:_PNG_HEADER], title) == head[: _PNG_HEADER + 18 + len(title)]
+
+
 _NO_DIGEST = "0" * 16
 """In place of a file's digest, while that is made."""
 
@@ -223,7 +233,7 @@ _BEGINNINGS: Mapping[str, re.Pattern[bytes]] = {
 
 
 def _is_picture(title: str) -> Callable[[Path], bool]:
-    return lambda path: named_png(_head(path)[:_PNG_HEADER], title) == _head(path)[: _PNG_HEADER + 18 + len(title)]
+    return lambda path: has_title(path, title)
 
 
 def _is_calibration(path: Path) -> bool:

@@ -6,11 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foreglow.beam.known_images import NUM_KNOWN
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
+
+Floats32 = NDArray[np.float32]
 
 FRAME_NS = 55_555_556
 FAST_MPS = 20.0
@@ -49,6 +52,19 @@ class FakeLamps:
         along = np.exp(-0.5 * ((elevations[:, None] - rows) / 0.7) ** 2)
         leds = 20_000.0 * along[:, None, :, None] * across[:, :, None, :]
         return np.full((len(azimuths), 2), 200.0), leds.reshape(len(azimuths), 2, -1)
+
+    def greatest_cd(self, azimuths_deg: Floats, elevations_deg: Floats, /) -> tuple[Floats32, Floats32]:
+        columns = (np.arange(self.num_columns) - (self.num_columns - 1) / 2) * 2.0
+        rows = np.arange(self.num_rows) * 1.5 + 0.2
+        below = np.maximum(elevations_deg[:-1, None] - rows, 0) + np.maximum(rows - elevations_deg[1:, None], 0)
+        along = np.exp(-0.5 * (below / 0.7) ** 2)
+        tables = []
+        for middles in (columns + 0.4, columns - 0.4):
+            aside = np.maximum(azimuths_deg[:-1, None] - middles, 0) + np.maximum(middles - azimuths_deg[1:, None], 0)
+            across = np.exp(-0.5 * (aside / 0.8) ** 2)
+            leds = 20_000.0 * along[:, None, :, None] * across[None, :, None, :]
+            tables.append(leds.reshape(len(along), len(across), -1).astype(np.float32))
+        return tables[0], tables[1]
 
 
 def camera(distortion: tuple[float, float, float, float, float] = (-0.07, 0.015, 1e-4, -2e-5, 0.0)) -> Camera:

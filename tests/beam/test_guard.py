@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import itertools
 import math
 from pathlib import Path
@@ -18,7 +19,8 @@ from benchmarks import guard_sweep
 from foreglow.beam import guard as guard_module
 from foreglow.beam.guard import Guard, dimmed, united
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.photometry import Headlamp, Headlamps, read_headlamps
+from foreglow.photometry import Headlamp, Headlamps, low_beam, read_headlamps
+from foreglow.photometry.matrix import LedGrid, grid_lamp
 from foreglow.types import BeamCommand, BeamMode, TrackState
 from tests.beam.guards import AHEAD, LAMPS, NOBODY, NUM_LEDS, assert_low, next_check, running, towards_cd, with_arrays
 from tests.beam.made_up import CAMERA, FRAME_NS, FakeLamps, box_around, frame_at, full, guard_config, tracks_of
@@ -32,6 +34,32 @@ def test_no_counter_example_in_the_sweep() -> None:
     assert outcome.num_states > 10_000
     assert outcome.num_lit > 800
     assert outcome.counter_examples == {}
+
+
+@pytest.mark.slow
+def test_no_counter_example_with_leds_finer_than_the_guards_table() -> None:
+    """Whose light is all between the directions that the table once looked at."""
+    grid = LedGrid(
+        num_columns=100,
+        pitch_deg=0.2,
+        row_elevations_deg=(-0.1, 0.9),
+        row_peaks_cd=(38_000.0, 9_000.0),
+        side_sigma_deg=6.5,
+        everywhere_cd=0.0,
+        half_width_deg=0.05,
+        half_height_deg=0.4,
+        edge_exponent=2.6,
+        reach_width_deg=0.2,
+        reach_height_deg=1.2,
+    )
+    shipped = read_headlamps()
+    left, right = (
+        Headlamp(lamp.vehicle_from_lamp, grid_lamp(low_beam(), grid)) for lamp in (shipped.left, shipped.right)
+    )
+    outcome = guard_sweep.sweep(Headlamps("fine", left, right), SMALL)
+    assert outcome.num_lit > 10
+    # The sweep looks at too few directions to say which of such LEDs shine elsewhere.
+    assert set(outcome.counter_examples) <= {"an LED that shines elsewhere is not dimmed"}
 
 
 SMALL = guard_sweep.Grid(
@@ -202,8 +230,18 @@ def test_lamps_that_shine_where_no_vehicle_is_looked_for_are_refused(turned: Flo
     """Such LEDs would never be dimmed, since they are dark at every vehicle and at the edges as well."""
     shipped = read_headlamps()
     left = Headlamp(Pose(shipped.left.vehicle_from_lamp.position_m, turned), shipped.left.matrix)
-    with pytest.raises(ValueError, match=r"^lamps: LED 0 of the left one: expected at least 1 cd within 45 degrees"):
+    with pytest.raises(ValueError, match=r"^lamps: expected LEDs that shine within 45 degrees"):
         Guard(guard_config(), Headlamps("turned", left, shipped.right))
+
+
+def test_an_led_that_is_dark_wherever_vehicles_are_is_refused() -> None:
+    shipped = read_headlamps()
+    matrix = shipped.left.matrix
+    leds_cd = matrix.leds_cd.copy()
+    leds_cd[3] *= 1e-6
+    left = Headlamp(shipped.left.vehicle_from_lamp, dataclasses.replace(matrix, leds_cd=leds_cd))
+    with pytest.raises(ValueError, match=r"^lamps: LED 3 of the left one: expected at least 1 cd within 45 degrees"):
+        Guard(guard_config(), Headlamps("dark", left, shipped.right))
 
 
 # The two pure parts

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from foreglow.beam.in_sight import SURE_DIRECT, lamps_in_sight
-from foreglow.types import Tracks, TrackState, Vehicles
+from foreglow.beam.stage import BeamStage
+from foreglow.config import BeamConfig, GuardConfig
+from foreglow.types import BeamMode, Tracks, TrackState, Vehicles
 from foreglow.types.kinds import kinds_of_direct
-from tests.beam.made_up import box_around, tracks_of
+from tests.beam.made_up import box_around, frame_at, tracks_of
 
 MIN_DIRECT = 0.5
 SURE, UNSURE, LIGHT = SURE_DIRECT + 0.05, 0.5 * (MIN_DIRECT + SURE_DIRECT), MIN_DIRECT - 0.1
@@ -55,3 +57,17 @@ def test_a_sure_one_that_may_not_be_acted_on_rules_nothing_out() -> None:
     """Otherwise nothing at all would be protected."""
     tracks = tracks_with([SURE, UNSURE], vehicles=[7, 7], states=[TENTATIVE, CONFIRMED])
     assert lamps_in_sight(tracks, MIN_DIRECT).tolist() == [True, True]
+
+
+@pytest.mark.parametrize("min_direct", [0.5, 0.8, 1.0])
+def test_the_guard_protects_lamps_of_which_a_policy_wants_to_be_surer(min_direct: float) -> None:
+    stage = BeamStage(BeamConfig(policy="high", min_direct=min_direct), GuardConfig())
+    lamp = dataclasses.replace(
+        tracks_of([box_around(0.0, 0.0, 0.01)], [60.0]), light_kinds=np.array([[0.6, 0.0, 0.4, 0.0]])
+    )
+    for number in range(25):
+        frame = frame_at(number)
+        command = stage.command(frame, dataclasses.replace(lamp, ages_s=np.array([0.05 + number])))
+    assert command.mode == BeamMode.GLARE_FREE
+    assert len(command.gaps_rad) == 1
+    assert command.levels.min() < 0.1

@@ -92,6 +92,28 @@ def test_spans_hold_all_that_may_be_seen(
         assert (elevations <= highest + slack).all()
 
 
+@pytest.mark.parametrize("box", [[100, 440, 1180, 470], [0, 300, 900, 700], [300, 100, 1280, 480], [500, 0, 800, 960]])
+@pytest.mark.parametrize("roll_deg", [-4.0, 0.0, 4.0])
+@pytest.mark.parametrize("range_m", [6.0, 20.0, 100.0])
+def test_spans_hold_all_of_a_wide_box(box: list[float], roll_deg: float, range_m: float) -> None:
+    """Between its corners, directions reach further: a lorry close by, or the glare around a lamp, is as wide."""
+    pose = Pose(np.array([1.8, 0.02, 2.2]), rotation(0.0, math.radians(-4.0), math.radians(roll_deg)))
+    camera = Camera(1280, 960, (900.0, 900.0), (640.0, 480.0), (-0.07, 0.015, 0.0, 0.0, 0.0), pose)
+    lines = Sightlines(LAMPS_M, guard_config())
+    (spans,), _ = lines.spans_rad(camera, np.array([box], float), np.array([range_m]), np.array([1e-6]))
+    pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (2000, 2))
+    pixels[::2, 1] = np.random.default_rng(1).choice(box[1::2], 1000)  # the upper and the lower edge
+    points_m = pose.position_m + camera.rays(pixels) @ pose.rotation.T * range_m
+    for lamp_m, span in zip(LAMPS_M, spans, strict=True):
+        x, y, z = (points_m - lamp_m).T
+        azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+        slack = np.radians(0.15)  # less than a cell of the guard's table, by which spans are widened
+        assert azimuths.min() > span[0] - slack
+        assert azimuths.max() < span[1] + slack
+        assert elevations.min() > span[2] - slack
+        assert elevations.max() < span[3] + slack
+
+
 def test_spans_are_no_wider_than_the_box_needs() -> None:
     """A far point is seen as from the camera; the lamps' offset shows at 50 m."""
     lines = Sightlines(LAMPS_M, guard_config(eyes_above_m=0.0))

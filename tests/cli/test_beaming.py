@@ -14,11 +14,13 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow import read_config
+from foreglow import preset, read_config
+from foreglow.cli.beam import lamp_bus
 from foreglow.config import BeamConfig, config_to_toml
 from foreglow.datasets import shipped_drive
 from foreglow.photometry.headlamps import SHIPPED
 from foreglow.runs.recorded_run import read_frames, read_run
+from foreglow.types import BeamCommand, BeamMode
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, without_digest
 
 NUM_FRAMES = 24
@@ -358,3 +360,21 @@ def test_the_missing_extra_is_named(tmp_path: Path, run: Path, monkeypatch: pyte
     line = complaint("beam", run, "--out", tmp_path / "out", "--can", "asc")
     assert "pip install 'foreglow[can]'" in line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("restore_s", "brightening_s", "ramp_s"), [(0.2, 0.5, 0.6), (10.0, 0.5, 3.0), (1.0, 60.0, 3.0)]
+)
+def test_lamps_that_take_gaps_brighten_no_faster_than_the_guard_lets_leds(
+    restore_s: float, brightening_s: float, ramp_s: float
+) -> None:
+    can = pytest.importorskip("can")
+    from foreglow.beam.messages import GAPS_ID, decode_gaps
+
+    config = preset("foreglow").changed("beam", restore_s=restore_s).changed("guard", brightening_s=brightening_s)
+    with can.Bus(interface="virtual", channel="ramps", fd=True) as listener:
+        bus = lamp_bus("virtual:ramps", config)
+        bus.send(BeamCommand(0, BeamMode.FULL, np.ones((2, 84))))
+        bus.close()
+        sent = {message.arbitration_id: bytes(message.data) for message in iter(lambda: listener.recv(0), None)}
+    assert decode_gaps(GAPS_ID, sent[GAPS_ID]).ramp_s == pytest.approx(ramp_s)

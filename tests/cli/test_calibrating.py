@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from tests.calibration.roads import drive
 from tests.calibration.test_kitti import CAM_TO_CAM, ODOMETRY
 from tests.calibration.test_ros import TEXT as ROS
 from tests.cli.commands import complaint, foreglow_command
+from tests.datasets.video.test_video_file import make_video
 from tests.stand_ins import night_image
 
 MOUNT = ("--mount-forward", "1.9", "--mount-height", "1.3", "--pitch-deg", "-1")
@@ -174,3 +176,13 @@ def test_a_limit_beyond_the_drive_thins_nothing_out(tmp_path: Path, monkeypatch:
     for limit in (2, 100_000, None):
         calibrate_source(tmp_path, SourceOptions(limit=limit), LensOptions(fov=60.0))
     assert nums == [2, 3, 3]
+
+
+def test_a_video_without_square_pixels_has_no_single_focal_length(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "hdv.mp4", pixel_aspect=Fraction(4, 3))
+    said = complaint("calibrate", "auto", path, "--fov", 65, "--out", tmp_path / "camera.toml")
+    assert f"{path}: expected square pixels, its pixels are 1.33 times as wide as high (" in said
+    said = complaint("run", path, "--calibration", "auto", "--fov", 65, "--out", tmp_path / "out")
+    assert f"{path}: expected square pixels" in said
+    result = foreglow_command("run", path, "--out", tmp_path / "out")
+    assert f"{path}: its pixels are 1.33 times as wide as high (" in result.stdout

@@ -121,13 +121,21 @@ def test_time_benefit_at_a_low_rate(tmp_path: Path) -> None:
     root = make_pvdn(tmp_path / "data")
     path = root / "labels" / "image_annotations.json"
     content = json.loads(path.read_text())
-    images = [image | {"timestamp": round(1e9 * image["id"] / 1.5)} for image in content["images"]]
+    numbers = {11: 0, 12: 1, 13: 2, 5: 0, 7: 1}
+    images = [image | {"timestamp": round(1e3 * numbers[image["id"]] / 1.5)} for image in content["images"]]
     path.write_text(json.dumps(content | {"info": {"rate_hz": 1.5}, "images": images}))
     said = complaint("experiment", "time-benefit", root, "--out", tmp_path / "out")
     assert f"{root}: rate_hz: expected at least 5, as below it five frames take longer than a human, got 1.5" in said
     results = run_experiment([open_labelled(root)], preset("foreglow"))
     report = write_report(results, tmp_path / "out").read_text()
     assert "2 sequences at 1.5 Hz; " in report
+    path.write_text(json.dumps(content | {"info": {"rate_hz": 30}, "images": images}))  # as of some frames of a video
+    few = run_experiment([open_labelled(root)], preset("foreglow"))
+    assert few.rates_hz == pytest.approx((1.5,), rel=0.01)
+    false, wanted = few.methods[1].false, results.methods[1].false
+    assert false is not None
+    assert wanted is not None
+    assert false.minutes == pytest.approx(wanted.minutes, rel=0.01)
     assert "Below 5 Hz five frames take longer than a human" in report
 
 

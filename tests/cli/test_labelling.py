@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import open_labelled, open_source, shipped_drive
+from foreglow.lab.evaluation import evaluate_split
 from foreglow.runs.labels_of_run import labels_of_run
 from foreglow.runs.recorded_run import read_run
 from tests.cli.commands import complaint, foreglow_command, names, without_digest
@@ -275,6 +276,36 @@ def test_labels_of_another_video(tmp_path: Path) -> None:
     assert foreglow_command(*evaluate, tmp_path / "a" / "frames.jsonl").exit_code == 0
 
 
+def test_results_of_coco_name_images_by_the_ids_of_its_labels(tmp_path: Path) -> None:
+    """Here from 1 on, while the images' names count from 0: all boxes are right, and each is in an image of its own."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    pictures, lights, boxes = [], [], []
+    for number in range(4):
+        cv2.imwrite(str(folder / f"{number:06d}.png"), np.zeros((72, 96), np.uint8))
+        name = {"file_name": f"{number:06d}.png", "width": 96, "height": 72}
+        about = {"image_id": number + 1, "category_id": 1}
+        pictures.append({"id": number + 1, **name})
+        lights.append({**about, "id": number, "keypoints": [10 * number + 5.5, 20.5, 2]})
+        boxes.append({**about, "bbox": [10 * number, 15, 9, 9], "score": 0.9})
+    labels, results = folder / "labels.json", tmp_path / "results.json"
+    file = {"images": pictures, "categories": [{"id": 1, "name": "light"}], "annotations": lights}
+    labels.write_text(json.dumps(file))
+    results.write_text(json.dumps(boxes))
+    result = foreglow_command("evaluate", labels, "--predictions", results, "--json", tmp_path / "figures.json")
+    assert result.exit_code == 0, result.output
+    assert f"{results}: its image ids are taken for those in {labels}, not for numbers of frames" in result.stdout
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert (figures["tp"], figures["fp"], figures["num_missing"]) == (4, 0, 0)
+    with pytest.warns(UserWarning, match="its image ids are taken for those in"):
+        assert evaluate_split(labels, results).f1 == 1.0
+    result = foreglow_command("labels", "import", labels, "--out", tmp_path / "own")
+    assert f"COCO's results by its ids are compared with {labels} itself" in result.stdout
+    again = tmp_path / "again.json"
+    result = foreglow_command("labels", "export", tmp_path / "own", "--format", "coco", "--out", again)
+    assert [each["id"] for each in json.loads(again.read_text())["images"]] == [0, 1, 2, 3]  # as a run counts them
+
+
 def test_labels_of_another_folder(tmp_path: Path) -> None:
     """Labels beside their images, and a set that was imported from them; runs on those, on others, and on a video."""
     runs = {}
@@ -378,6 +409,30 @@ def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
     assert foreglow_command("suggest", run, "--frames", 1).exit_code == 0
     said = complaint("beam", run, "--out", tmp_path / "beam")
     assert "the beam needs the camera's calibration" in said  # so the images were found
+
+
+def test_frames_that_a_run_left_out_do_not_shift_those_of_a_video(tmp_path: Path) -> None:
+    """`cvat-video` counts frames: behind one that was skipped, each would have the light of the next."""
+    images = tmp_path / "images"
+    images.mkdir()
+    for path in sorted((shipped_drive() / "images").glob("*/*"))[:4]:
+        shutil.copy(path, images)
+    bad = sorted(images.iterdir())[1]
+    bad.write_bytes(bad.read_bytes()[:200])
+    run, guess = tmp_path / "run", tmp_path / "guess.xml"
+    for limit, number in ((1, 1), (3, 3)):
+        options = ("--out", run, "--on-error", "skip", "--limit", limit)
+        assert foreglow_command("run", images, *options).exit_code == 0
+        export = ("labels", "export", images, "--run", run, "--out", guess, "--format")
+        if limit > 1:
+            said = complaint(*export, "cvat-video")
+            assert (
+                f"{images}: expected every frame of a drive for cvat-video, the run has 1 of the 2 before frame" in said
+            )
+        result = foreglow_command(*export, "cvat" if limit > 1 else "cvat-video")
+        assert result.exit_code == 0, result.output
+        assert f"{number} image" in result.stdout
+        guess.unlink()
 
 
 def test_suggestions_that_somebody_has_edited_stay(run: Path, tmp_path: Path) -> None:

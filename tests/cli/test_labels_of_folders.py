@@ -212,3 +212,15 @@ def test_frames_of_a_video_that_are_there_twice(tmp_path: Path) -> None:
     said = complaint("labels", "import", labels, "--images", video, "--out", tmp_path / "own")
     assert f"{labels}: expected each frame of {video} once, 1 is there twice" in said
     assert images.is_dir()
+
+
+def test_a_run_on_other_labels(tmp_path: Path) -> None:
+    """A file of labels has no digest of its own: labels of other images with the same numbers were taken in silence."""
+    _, labels = drives(tmp_path / "a", folders=(".",))
+    _, others = drives(tmp_path / "b", folders=(".",))
+    run = run_on(labels, tmp_path / "run")
+    evaluate = ("--predictions", run / "frames.jsonl", "--threshold", 0)
+    doubt = f"nothing tells whether these are labels of what {run} was made from, {labels}"
+    assert doubt not in done("evaluate", labels, *evaluate)
+    assert f"{others}: {doubt}" in done("evaluate", others, *evaluate)
+    assert doubt in complaint("export-mot", run, others, "--out", tmp_path / "mot")

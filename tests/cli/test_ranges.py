@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 
 from foreglow.datasets import shipped_drive
 from tests.cli.commands import complaint, foreglow_command
+from tests.lab.learning.shipped_splits import make_shipped_splits
 
 
 @pytest.mark.torch
 def test_a_fitted_model_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("foreglow.lab.learning.ranges.EPOCHS", 1)
-    for split in ("train", "val"):
-        shutil.copytree(shipped_drive(), tmp_path / "data" / split)
+    make_shipped_splits(tmp_path / "data")
     model, settings, out = tmp_path / "ranges.toml", tmp_path / "settings.toml", tmp_path / "out"
     result = foreglow_command("fit-ranges", tmp_path / "data", "--out", model)
     assert result.exit_code == 0, result.output

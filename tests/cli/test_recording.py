@@ -12,8 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from foreglow.datasets import shipped_drive
+from foreglow.cli.shared_run import open_frames
+from foreglow.config import preset
+from foreglow.datasets import open_source, shipped_drive
+from foreglow.options import SourceOptions, VehicleOptions
+from foreglow.parallel import Local
+from foreglow.runs.recorded_run import open_source_of_run, read_frames, read_run
 from foreglow.runs.summary_file import read_summary
+from foreglow.runtime import Opening, OutputFolder, run_apart
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
@@ -54,6 +60,29 @@ def test_a_recorded_drive_runs_again_with_the_same_results(tmp_path: Path) -> No
     assert result.stdout.startswith("8 frames, ")
     assert f"look at {again}, such as in Foxglove" in result.stdout
     assert names(tmp_path) == {"drive.mcap", "again.mcap", "first", "second"}
+
+
+def test_a_run_knows_its_topic(tmp_path: Path) -> None:
+    """Two cameras take their images at the same times: later commands took those of the first one for the run's."""
+    first = [np.full((96, 128), 3, np.uint8) for _ in range(3)]
+    second = [np.full((96, 128), 40, np.uint8) for _ in range(3)]
+    path, run = make_mcap(tmp_path / "rig.mcap", second, others={"/another": first}), tmp_path / "run"
+    assert next(iter(open_source(path))).image.max() == 3
+    result = foreglow_command("run", path, "--out", run, "--topic", TOPIC)
+    assert result.exit_code == 0, result.output
+    assert read_summary(run / "summary.json").topic == TOPIC
+    recorded = read_run(run)
+    frames = read_frames(recorded, recorded.sequences[""])
+    assert {int(frame.image.max()) for frame in frames.values()} == {40}
+    assert {int(frame.image.max()) for frame in open_source_of_run(run)} == {40}
+    options = ("--calibration", shipped_drive() / "simulation/S00001/camera.toml", "--out", tmp_path / "beam")
+    said = complaint("beam", run, *options, "--topic", "/another")
+    assert f"--topic: expected none, or {TOPIC} as in {run}, got /another" in said
+    with OutputFolder(tmp_path / "apart") as folder:
+        opening = Opening(open_frames, (path, SourceOptions(topic="/another", on_error="mark"), VehicleOptions()))
+        run_apart(opening, preset("paper"), folder, Local())
+    summary = read_summary(tmp_path / "apart" / "summary.json")
+    assert (summary.topic, summary.on_error) == ("/another", "mark")
 
 
 def test_a_bag_by_topic(tmp_path: Path, config: Path) -> None:

@@ -151,6 +151,15 @@ def test_what_judges_is_never_learnt_from(
         assert not out.exists()
 
 
+def test_images_that_judge_are_never_learnt_from(data: Path, tmp_path: Path, options: list[object]) -> None:
+    """Copies of them, in a split with another name."""
+    more = shutil.copytree(data / "day" / "val", tmp_path / "more" / "train")
+    line = complaint("train", data, more, *options[2:], "--out", tmp_path / "run")
+    assert f"{data / 'day' / 'val' / 'images'}" in line
+    assert f": expected an image that nothing is learnt from, got that of {more / 'images'}" in line
+    assert not (tmp_path / "run").exists()
+
+
 def test_the_same_command_goes_on_and_another_is_refused(tmp_path: Path, options: list[object]) -> None:
     out = tmp_path / "run"
     first = foreglow_command(*options, "--out", out, "--epochs", 2)

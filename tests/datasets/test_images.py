@@ -413,11 +413,12 @@ def test_what_is_no_image_has_no_colour(array: Any) -> None:
         red_chroma(array)
 
 
-def tiff(pixels: NDArray[np.uint8], extra: int) -> bytes:
-    """An uncompressed TIFF whose last channel is of the kind `extra` (ExtraSamples)."""
+def tiff(pixels: NDArray[Any], extra: int = 0, meaning: int = 2) -> bytes:
+    """An uncompressed TIFF whose last channel is of the kind `extra` (ExtraSamples); white is 0 for the `meaning` 0."""
     height, width, channels = pixels.shape
     short, long = 3, 4
-    entries = [(256, short, width), (257, short, height), (258, short, 8), (259, short, 1), (262, short, 2)]
+    bits = 8 * pixels.itemsize
+    entries = [(256, short, width), (257, short, height), (258, short, bits), (259, short, 1), (262, short, meaning)]
     entries += [(273, long, 8), (277, short, channels), (278, short, height), (279, long, pixels.nbytes)]
     entries += [(284, short, 1), (338, short, extra)]
     directory = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
@@ -435,3 +436,17 @@ def test_tiff_with_an_opacity_is_refused(tmp_path: Path) -> None:
     path.write_bytes(tiff(pixels, extra=2))
     with pytest.raises(ValueError, match=r"night\.tif: expected a TIFF without an opacity \(alpha\), got one with"):
         read_image(path)
+
+
+def test_a_tiff_in_which_white_is_0_is_read_right_or_refused(tmp_path: Path) -> None:
+    """OpenCV turns 8 bits round, and takes 16 as they are: a night became a day."""
+    path = tmp_path / "night.tif"
+    path.write_bytes(tiff(np.full((80, 96, 1), 250, np.uint8), meaning=0))
+    assert (read_image(path) == 5).all()
+    path.write_bytes(tiff(np.full((80, 96, 1), 65000, np.uint16), meaning=0))
+    with pytest.raises(
+        ValueError, match=r"night\.tif: expected a TIFF in which 0 is black, got one in which it is white"
+    ):
+        read_image(path)
+    path.write_bytes(tiff(np.full((80, 96, 1), 500, np.uint16), meaning=1))
+    assert (read_image(path) == 500).all()

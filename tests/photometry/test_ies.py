@@ -157,3 +157,17 @@ def test_the_end_of_a_file_of_dos(tmp_path: Path) -> None:
 def test_no_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_ies(tmp_path / "absent.ies")
+
+
+def test_a_peak_that_the_table_would_lose_is_refused(tmp_path: Path) -> None:
+    """Tables of type C have steps of a quarter of a degree at least."""
+    gammas, planes = np.arange(0.0, 6.01, 0.05), np.arange(0.0, 361.0, 45.0)
+    candela = np.where(np.isclose(planes[:, np.newaxis], 90.0), 3e4 * np.exp(-0.5 * ((gammas - 5.12) / 0.05) ** 2), 0.0)
+    rows = [f"1 1000 1 {len(gammas)} {len(planes)} 1 1 0 0 0", "1 1 0", " ".join(f"{gamma:.2f}" for gamma in gammas)]
+    rows += [" ".join(f"{plane:g}" for plane in planes), *(" ".join(f"{cd:.1f}" for cd in row) for row in candela)]
+    path = tmp_path / "led.ies"
+    path.write_text("IESNA:LM-63-2002\nTILT=NONE\n" + "\n".join(rows) + "\n")
+    with pytest.raises(
+        ValueError, match=r"led\.ies: type C: expected light that a table in steps of 0\.25 x 0\.25 deg"
+    ):
+        read_ies(path)

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foreglow.photometry import NUM_LEDS, low_beam, matrix_beam
+from foreglow.photometry import NUM_LEDS, IntensityTable, low_beam, matrix_beam
+from foreglow.photometry.matrix import measured_lamp
 
 Side: TypeAlias = Literal["left", "right"]
 SIDES: tuple[Side, ...] = ("left", "right")
@@ -69,3 +70,16 @@ def test_the_leds_part_of_the_table_stays(side: Side, columns: slice) -> None:
     lamp = matrix_beam(side)
     assert (lamp.rows, lamp.columns) == (slice(276, 356), columns)
     assert lamp.leds_cd.shape == (NUM_LEDS, 80, 150)
+
+
+@pytest.mark.parametrize(("sigma_deg", "is_kept"), [(0.04, False), (0.15, True)])
+def test_leds_lose_no_peak_between_the_angles_of_the_table(sigma_deg: float, is_kept: bool) -> None:
+    """A guard would let more light than it knows of shine at a vehicle."""
+    azimuths, elevations = np.arange(-3.0, 3.01, 0.1) + 0.04, np.arange(-1.0, 2.01, 0.1) + 0.05
+    square = (azimuths - azimuths[30]) ** 2 + (elevations[:, np.newaxis] - elevations[10]) ** 2
+    led = IntensityTable(azimuths, elevations, (30_000.0 * np.exp(-0.5 * square / sigma_deg**2)).astype(np.float32))
+    if is_kept:
+        assert measured_lamp(low_beam(), [led], 1).leds_cd.max() > 0.75 * 30_000.0
+    else:
+        with pytest.raises(ValueError, match=r"^LED 0: expected light that a table in steps of 0\.083 x 0\.1 degrees"):
+            measured_lamp(low_beam(), [led], 1)

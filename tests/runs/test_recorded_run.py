@@ -127,6 +127,11 @@ def test_doubt_about_a_source_that_nothing_tells_apart(tmp_path: Path) -> None:
     assert doubt_about_source(run, tmp_path / "night.avi") is None
     words = f"{tmp_path / 'day.avi'}: taken for what {run} was made from, which was /elsewhere/night.avi"
     assert doubt_about_source(run, tmp_path / "day.avi") == words
+    labels = tmp_path / "labels.xml"
+    labels.write_text("<annotations/>")
+    assert doubt_about_source(write_run(tmp_path / "own", [], source=str(labels)), labels) is None
+    other = write_run(tmp_path / "other", [], source="/elsewhere/labels.xml")
+    assert f"{labels}: taken for what {other} was made from" in str(doubt_about_source(other, labels))
 
 
 def test_a_run_of_version_0_1_0() -> None:

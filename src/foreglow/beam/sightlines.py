@@ -8,8 +8,16 @@ from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster
 
-_CORNERS = np.array([(0, 1), (2, 1), (0, 3), (2, 3)])
-"""Indices of x and y of each corner in a box x1, y1, x2, y2."""
+NUM_PARTS = 4
+"""Each side of a box is looked at in so many parts: between the corners of a wide one, directions reach further."""
+
+_AROUND = (
+    np.array(
+        [(x, y) for x, y in np.ndindex(NUM_PARTS + 1, NUM_PARTS + 1) if x in (0, NUM_PARTS) or y in (0, NUM_PARTS)]
+    )
+    / NUM_PARTS
+)
+"""Points around a box, shape (P, 2), in shares of its width and height."""
 
 ASIDE = 0.2
 """Farther aside, the elevation of what is equally high in the image nears 0: by less than this share of the angle."""
@@ -54,12 +62,13 @@ class Sightlines:
         nearness = np.empty((count, 2, 1, 1))
         nearness[:, 0, 0, 0] = 1.0 / nearest_m
         nearness[:, 1, 0, 0] = np.where(np.isnan(farthest_m), 0.0, 1.0 / farthest_m)
-        corners = boxes_xyxy_px[:, _CORNERS].reshape(-1, 2)
-        inside = np.minimum(np.maximum(corners, 0.0), (camera.width_px, camera.height_px))
+        sides = np.minimum(np.maximum(boxes_xyxy_px, 0.0), np.tile((camera.width_px, camera.height_px), 2))
+        first, last = sides[:, np.newaxis, :2], sides[:, np.newaxis, 2:]
+        inside = (first * (1.0 - _AROUND) + last * _AROUND).reshape(-1, 2)
         rays = self._caster.cast(camera, inside)
-        # A point at range r lies in the direction ray + offset / r; shape (M, near or far, lamp, corner, 3).
+        # A point at range r lies in the direction ray + offset / r; shape (M, near or far, lamp, P, 3).
         offsets_m = (rays.origin_m - self._lamps_m)[:, np.newaxis]
-        seen = rays.directions.reshape(count, 1, 1, 4, 3) + nearness[..., np.newaxis] * offsets_m
+        seen = rays.directions.reshape(count, 1, 1, len(_AROUND), 3) + nearness[..., np.newaxis] * offsets_m
         x, y, z = seen[..., 0], seen[..., 1], seen[..., 2]
         forward = np.sqrt(x * x + y * y)
         azimuths = np.arctan2(y, x)

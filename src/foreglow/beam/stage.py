@@ -19,6 +19,10 @@ MAX_GAPS = 2000
 """Gaps of a frame: one for each track that it may have."""
 
 
+MOST_MIN_DIRECT = 0.5
+"""However sure a policy wants to be of a lamp, the guard protects every track that is one more likely than not."""
+
+
 class BeamStage:
     """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it.
 
@@ -46,7 +50,7 @@ class BeamStage:
             ValueError: If it is broken, or there is no such policy; the message says what was expected.
         """
         headlamps = read_headlamps(config.headlamps)
-        self._min_direct = config.min_direct
+        self._min_direct = min(config.min_direct, MOST_MIN_DIRECT)
         self._policy = built(policy, make_policy, config, headlamps)
         self._is_ours = type(self._policy) in POLICIES.values()
         self._lit_street = LitStreet(lit_street or LitStreetConfig())

@@ -70,7 +70,11 @@ def beam(
         stepper, images, num_frames = _replay(source, configuration)
         origin = read_summary(source / "summary.json")
         limit = min(num_frames, reading.limit or num_frames)
-        reading = dataclasses.replace(reading, limit=limit, on_error="skip" if origin.num_skipped else "mark")
+        if None not in (reading.topic, origin.topic) and reading.topic != origin.topic:
+            raise ValueError(f"--topic: expected none, or {origin.topic} as in {source}, got {reading.topic}")
+        skips = origin.on_error == "skip" or (origin.on_error is None and origin.num_skipped > 0)
+        on_error = "skip" if skips else "mark"
+        reading = dataclasses.replace(reading, limit=limit, on_error=on_error, topic=origin.topic or reading.topic)
         say_lack(source)
     else:
         stepper, images = Pipeline(configuration), source
@@ -82,7 +86,7 @@ def beam(
         if video:
             sinks.append(beam_sink(frames, results, headlamps))
         if can is not None:
-            sinks.append(_can_sink(results, can, configuration.beam.restore_s, is_compact=compact))
+            sinks.append(_can_sink(results, can, _ramp_s(configuration), is_compact=compact))
         return sinks
 
     summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit, origin=origin)
@@ -130,7 +134,14 @@ def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
     headlamps = read_headlamps(configuration.beam.headlamps)
     if headlamps.num_leds != NUM_LEDS:
         raise ValueError(f"--can: expected lamps of {NUM_LEDS} LEDs, {headlamps.name!r} have {headlamps.num_leds} each")
-    return CanBus(channel, ramp_s=configuration.beam.restore_s)
+    return CanBus(channel, ramp_s=_ramp_s(configuration))
+
+
+def _ramp_s(configuration: PipelineConfig) -> float:
+    """In cars that accept gaps alone, light returns as slowly as in our LEDs, if their lamps can."""
+    from foreglow.beam.messages import RAMPS_S
+
+    return min(max(configuration.beam.restore_s, configuration.guard.brightening_s), RAMPS_S[-1])
 
 
 def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:
@@ -164,13 +175,11 @@ def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> N
         )
 
 
-def _can_sink(results: OutputFolder, kind: str, restore_s: float, *, is_compact: bool) -> ResultSink:
-    """The sink for the CAN log; in cars that accept gaps alone, light returns as slowly as in our LEDs if they can."""
-    from foreglow.beam.messages import RAMPS_S
+def _can_sink(results: OutputFolder, kind: str, ramp_s: float, *, is_compact: bool) -> ResultSink:
+    """The sink for the CAN log."""
     from foreglow.runtime.can_output import CanLogSink
 
-    path, ramp_s = results.partial(f"beam.{kind}"), min(restore_s, RAMPS_S[-1])
-    return CanLogSink(path, suffix=f".{kind}", ramp_s=ramp_s, has_levels=not is_compact)
+    return CanLogSink(results.partial(f"beam.{kind}"), suffix=f".{kind}", ramp_s=ramp_s, has_levels=not is_compact)
 
 
 def _check_equipment(frames: FrameSource, source: Path, configuration: PipelineConfig, *, has_log: bool) -> None:

@@ -36,6 +36,7 @@ def export(
     from foreglow.lab.learning.suggestion import read_suggestions
     from foreglow.runs.first_guess import read_guess
     from foreglow.runs.recorded_run import check_suggestions_of, doubt_about_source
+    from foreglow.runs.summary_file import read_summary
 
     exchange.check_target(out, name)
     if name == "cvat-video" and frames is not None:
@@ -48,7 +49,7 @@ def export(
         sequences = {image_id: dataset.sequence(image_id).directory for image_id in dataset.frame_ids}
         found = exchange.labels_of(dataset, None if frames is None else read_suggestions(frames, sequences))
     else:
-        frames_of_run = open_source(source, on_error="mark")
+        frames_of_run = open_source(source, on_error="mark", topic=read_summary(run / "summary.json").topic)
         doubt = doubt_about_source(run, source)
         lines += [] if doubt is None else [doubt]
         if frames is not None:
@@ -87,6 +88,11 @@ def import_(
         lines.append(
             "the images are renumbered, as they have other numbers in a run on their folder; evaluate and export-mot "
             "know which is which"
+        )
+    if dataset.coco_ids:
+        lines.append(
+            f"the images have other numbers than in {source}: COCO's results by its ids are compared with {source} "
+            "itself"
         )
     typer.echo("\n".join([*lines, f"look in {out}; foreglow run, evaluate and every later command read it as PVDN"]))
 

@@ -283,16 +283,14 @@ def _check_boxes(model: Path, configuration: PipelineConfig) -> None:
     Raises:
         ValueError: If they are others, on which all that it knows would be lost.
     """
-    from foreglow.config import PRESETS, read_config
+    from foreglow.config import PRESETS
+    from foreglow.lab.learning.training_run import CONFIG, training_configuration
 
-    file = model.parent / "config.toml"  # as `train` writes it
     if str(model) in PRESETS:
         known, wanted = PRESETS[str(model)], f"--preset {model}"
-    elif file.is_file():
-        known, wanted = read_config(file), f"--config {file}"
     else:
-        return
-    if configuration.proposals != known.proposals:
+        known, wanted = training_configuration(model), f"--config {model.with_name(CONFIG)}"
+    if known is not None and configuration.proposals != known.proposals:
         raise ValueError(f"train: expected {wanted} with --from {model}, which knows the boxes of these proposals only")
 
 

@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 def calibrate_source(source: Path, reading: SourceOptions, lens: LensOptions) -> DriveCalibration:
     """The calibration that the frames of `source` show."""
     from foreglow.calibration.auto import calibrate_drive, lens_of
+    from foreglow.datasets import Video
 
     frames, name = reading.open(source), str(source)
+    if isinstance(frames, Video) and frames.pixel_aspect != 1:  # one focal length would not do
+        raise ValueError(f"{name}: expected square pixels, {frames.words_on_pixels}")
     first = next(iter(frames), None)
     if first is None:
         raise ValueError(f"{name}: expected a drive, it has no frame")

@@ -112,9 +112,7 @@ def source_notes(frames: FrameSource) -> list[str]:
     from foreglow.datasets import Equipped, ImageFolder, Video
 
     source = frames.source if isinstance(frames, Equipped) else frames
-    if isinstance(source, ImageFolder):
-        return source.notes
-    return [source.note] if isinstance(source, Video) and source.note else []
+    return list(source.notes) if isinstance(source, ImageFolder | Video) else []
 
 
 def folder_beside(source: Path) -> Path:

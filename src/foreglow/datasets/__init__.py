@@ -37,7 +37,16 @@ from foreglow.datasets.pvdn.schema import (
     Weather,
 )
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.vehicle_data import Equipped, VehicleData, lost_parts, origin_of, part_names, part_of, unread_end
+from foreglow.datasets.vehicle_data import (
+    Equipped,
+    VehicleData,
+    how_read,
+    lost_parts,
+    origin_of,
+    part_names,
+    part_of,
+    unread_end,
+)
 from foreglow.datasets.video import Video
 
 __all__ = [
@@ -66,6 +75,7 @@ __all__ = [
     "Video",
     "Weather",
     "download_pvdn",
+    "how_read",
     "lost_parts",
     "open_labelled",
     "open_source",

@@ -32,6 +32,8 @@ _TIFF_TYPES = {3: "H", 4: "I", 16: "Q"}
 _TIFF_SIZES = {256: "width", 257: "height", 322: "width of a tile", 323: "height of a tile"}
 _TIFF_KIND, _TIFF_REDUCED = 254, 1  # NewSubfileType, and its bit of an image that is a smaller copy of another
 _TIFF_EXTRA, _TIFF_ALPHA = 338, 2  # ExtraSamples, and its value for an opacity that is not in the colours
+_TIFF_BITS, _TIFF_MEANING, _TIFF_WHITE_IS_0 = 258, 262, 0  # BitsPerSample, PhotometricInterpretation
+_TIFF_OTHERS = (_TIFF_KIND, _TIFF_EXTRA, _TIFF_BITS, _TIFF_MEANING)
 _MAX_TIFF_PAGES = 16
 
 ONE_IMAGE = "expected one image, got several in one file; a video or a folder of images has more than one"
@@ -223,6 +225,8 @@ def _tiff_size_px(data: bytes) -> tuple[int, int]:
             raise ValueError(ONE_IMAGE)
     if first.get(_TIFF_EXTRA) == _TIFF_ALPHA:  # OpenCV would darken what is not opaque
         raise ValueError("expected a TIFF without an opacity (alpha), got one with; save it without")
+    if first.get(_TIFF_MEANING) == _TIFF_WHITE_IS_0 and first.get(_TIFF_BITS, 1) > 8:  # OpenCV inverts others
+        raise ValueError("expected a TIFF in which 0 is black, got one in which it is white; save it the usual way")
     width, height, tile_width, tile_height = (first.get(tag, 0) for tag in _TIFF_SIZES)
     return max(height, tile_height), max(width, tile_width)
 
@@ -238,7 +242,7 @@ def _tiff_pages(data: bytes, order: str, is_big: bool, offset: int) -> Iterator[
             tag, kind = struct.unpack_from(order + "HH", data, entry)
             if tag in _TIFF_SIZES and kind not in _TIFF_TYPES:
                 raise ValueError(f"damaged TIFF, expected a whole number as {_TIFF_SIZES[tag]}, got type {kind}")
-            if tag in _TIFF_SIZES or (tag in (_TIFF_KIND, _TIFF_EXTRA) and kind in _TIFF_TYPES):
+            if tag in _TIFF_SIZES or (tag in _TIFF_OTHERS and kind in _TIFF_TYPES):
                 (values[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, entry + inside)
         yield values
         (offset,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, offset + head + step * num)

@@ -192,8 +192,14 @@ class ImageFolder(FileSource):
 
     @property
     def notes(self) -> list[str]:
-        """Lines for people, if need be: which images are missing by their numbers, and folders below with images."""
-        lines = [_missing(self.path, self._numbers, self._steps)]
+        """Lines for people, if need be: what is assumed of the times of several images, which are missing by their
+        numbers, and folders below with images.
+        """
+        rate = (
+            f"{self.path}: images have no times: taken for {self.rate_hz:g} frames a second; speeds, leads and delays"
+        )
+        lines = [f"{rate} follow from it (`ffmpeg -framerate RATE` makes a video of them, which has times)"]
+        lines = lines * (len(self) > 1) + [_missing(self.path, self._numbers, self._steps)]
         if self.path.is_dir():
             names = [folder.name for folder in sorted(self.path.iterdir()) if folder.is_dir() and _has_images(folder)]
             listed = ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])

@@ -116,6 +116,17 @@ class LabelledSource(FileSource, ABC):
         """Folders of the sequences with at least one selected image, in the order of the frames."""
         return tuple(dict.fromkeys(self.sequence(image_id).directory for image_id in self.frame_ids))
 
+    @property
+    def mean_rate_hz(self) -> float:
+        """Frames a second by the times of the selected images, at most `rate_hz`: lower where only some are there."""
+        times_s: dict[int, list[float]] = {}
+        for image_id in self.frame_ids:
+            times_s.setdefault(self.sequence(image_id).id, []).append(self.time_s(image_id))
+        num_steps = sum(len(each) - 1 for each in times_s.values())
+        total_s = sum(max(each) - min(each) for each in times_s.values())
+        found = num_steps / total_s if total_s else self.rate_hz
+        return found if found < 0.999 * self.rate_hz else self.rate_hz  # times may be whole milliseconds
+
     def only(self, directory: str) -> Self:
         """The selected images of one sequence, by its folder; the labels are shared."""
         return self.with_images({id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory})

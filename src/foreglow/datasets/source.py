@@ -61,6 +61,8 @@ class FileSource:
         skipped: A line for each part that the latest iteration left out so far.
         lost_parts: Those lines of `skipped` that are about a part of the file in which there may be any number of
             frames.
+        on_error: What a bad frame does.
+        topic: The topic of a recording that is read; None of other sources.
         unread_end: Those lines of `skipped` that are about the latest images of the latest iteration, where none could
             be read since: at its end the source ended before its last image, as where its folder was removed.
     """
@@ -69,6 +71,8 @@ class FileSource:
     skipped: list[str]
     lost_parts: list[str]
     unread_end: list[str]
+    on_error: OnError
+    topic: str | None
 
     def __init__(self, origin: Path | str, on_error: OnError) -> None:
         """Takes where the frames are, and what a bad one does.
@@ -79,11 +83,11 @@ class FileSource:
         check_one_of(on_error, OnError, "on_error")
         self.origin = Path(origin)
         self.skipped, self.lost_parts, self.unread_end = [], [], []
-        self._on_error = on_error
+        self.on_error, self.topic = on_error, None
 
     def _refuse(self, message: str) -> None:
         """Notes what is left out; with `stop`, raises it."""
-        if self._on_error == "stop":
+        if self.on_error == "stop":
             raise ValueError(message)
         self.skipped.append(message)
 
@@ -100,7 +104,7 @@ class FileSource:
             try:
                 frame = read()
             except (ValueError, FileNotFoundError) as error:
-                if self._on_error == "stop":
+                if self.on_error == "stop":
                     raise
                 line = " ".join(str(error).split())
                 skipped.append(line)

@@ -175,6 +175,15 @@ def unread_end(source: FrameSource) -> Sequence[str]:
     return source.unread_end if isinstance(source, FileSource) else ()
 
 
+def how_read(source: FrameSource) -> dict[str, str | None]:
+    """`topic` and `on_error` of what `source` reads, by which it is read the same way again; None of other sources."""
+    if isinstance(source, Equipped):
+        return how_read(source.source)
+    if isinstance(source, FileSource):
+        return {"topic": source.topic, "on_error": source.on_error}
+    return {"topic": None, "on_error": None}
+
+
 def part_names(source: FrameSource) -> tuple[str, ...]:
     """Names of the sequences in the order of their frames; a single empty name for a source without sequences."""
     if isinstance(source, Equipped):

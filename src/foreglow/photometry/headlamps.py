@@ -25,6 +25,7 @@ from foreglow.photometry.aim import (
     check_base_aim,
     check_led_aim,
 )
+from foreglow.photometry.greatest import greatest_cd
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, squares_m2
 from foreglow.photometry.lamps import low_beam
@@ -185,6 +186,24 @@ class Headlamps:
             (P, 2, L), cd. The total is low beam + levels * LEDs, summed over L.
         """
         return self._lookup.towards(self._along_lamps(directions))
+
+    def greatest_cd(
+        self, azimuths_deg: Floats, elevations_deg: Floats
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Upper bounds on what the LEDs of the left and the right lamp shine at level 1, in each cell of a grid.
+
+        Args:
+            azimuths_deg: Shape (A,), growing edges of the cells, from -180 to 180, in the vehicle's frame.
+            elevations_deg: Shape (E,), the same for elevations, from -90 to 90.
+
+        Returns:
+            Shape (E - 1, A - 1, L) each, float32, cd: `intensities_cd` is nowhere greater in a cell.
+        """
+        left, right = (
+            greatest_cd(lamp.matrix, lamp.vehicle_from_lamp.rotation, azimuths_deg, elevations_deg)
+            for lamp in (self.left, self.right)
+        )
+        return left, right
 
     def illuminance_lx(self, points_vehicle: ArrayLike) -> tuple[Floats, Floats]:
         """Illuminance at points, on a plane that faces each lamp, with nothing in between.

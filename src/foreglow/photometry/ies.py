@@ -86,7 +86,7 @@ def _read_lines(path: Path, lines: list[str]) -> IntensityTable:
     span = (float(horizontals[0]), float(horizontals[-1]))
     if kind == "C" and span not in C_SPANS_DEG:
         raise ValueError(f"{path}: horizontal angles: expected a span of {C_SPANS_DEG}, got {span}")
-    return resampled(kind, verticals, horizontals, candela.reshape(num_horizontals, num_verticals).T)
+    return resampled(kind, verticals, horizontals, candela.reshape(num_horizontals, num_verticals).T, f"{path}")
 
 
 def _comma_hint(lines: list[str]) -> str:

@@ -87,7 +87,7 @@ def read_ldt(path: Path | str) -> IntensityTable:
         planes, candela = np.append(planes, 360.0), np.hstack([candela, candela[:, :1]])
     elif symmetry == 3:  # the same on the other side of the plane of symmetry: 90 to 270
         planes, candela = 540.0 - planes[::-1], candela[:, ::-1]
-    return resampled("C", gammas, planes, candela)
+    return resampled("C", gammas, planes, candela, f"{path}")
 
 
 def _stored_planes(path: Path, planes: Floats, symmetry: int) -> Floats:

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.resampling import MAX_CELLS, bilinear
+from foreglow.photometry.resampling import MAX_CELLS, bilinear, check_kept
 from foreglow.wording import shortened
 
 NUM_LEDS = 84
@@ -30,6 +30,9 @@ FINEST_STEP_DEG = 0.05
 
 MAX_LED_CELLS = 64_000_000
 """Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
+
+MAX_LEDS = 1024
+"""LEDs of a lamp: the guard's tables take 0.6 MB for each, whatever its own table."""
 
 RowElevation: TypeAlias = Annotated[float, Field(strict=True, ge=-5, le=10)]
 Width: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=90)]
@@ -115,6 +118,7 @@ class LedGrid(FrozenModel):
     @model_validator(mode="after")
     def _check(self) -> LedGrid:
         elevations, peaks = self.row_elevations_deg, self.row_peaks_cd
+        _check_num_leds(self.num_columns * len(elevations), "num_columns")
         if list(elevations) != sorted(set(elevations)):
             raise ValueError(f"row_elevations_deg: expected growing numbers, got {list(elevations)}")
         if len(peaks) != len(elevations):
@@ -177,8 +181,10 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
         num_columns: LEDs in a row.
 
     Raises:
-        ValueError: If an LED is dark everywhere; the message has its number.
+        ValueError: If an LED is dark everywhere, or too fine for the table; the message has its number. If there are
+            too many.
     """
+    _check_num_leds(len(leds), "LEDs")
     for number, led in enumerate(leds):
         if not led.intensities_cd.any():
             raise ValueError(f"LED {number}: expected light in some direction, got 0 cd in all")
@@ -198,9 +204,17 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
     _check_num_cells(len(leds), rows, columns)
     azimuths, elevations = base.azimuths_deg[columns], base.elevations_deg[rows]
     tables = np.stack([_sampled(led, azimuths, elevations) for led in leds])
+    steps_deg = _step(azimuths), _step(elevations)
+    for number, (led, table) in enumerate(zip(leds, tables, strict=True)):
+        check_kept(float(led.intensities_cd.max()), float(table.max()), steps_deg, f"LED {number}")
     left = np.array([np.average(azimuths, weights=table.sum(0)) for table in tables])
     up = np.array([np.average(elevations, weights=table.sum(1)) for table in tables])
     return MatrixLamp(base, columns, rows, _frozen(tables), left, up, num_columns)
+
+
+def _check_num_leds(num_leds: int, field: str) -> None:
+    if num_leds > MAX_LEDS:
+        raise ValueError(f"{field}: expected at most {MAX_LEDS} LEDs in all rows, got {num_leds}")
 
 
 def _check_num_cells(num_leds: int, rows: slice, columns: slice) -> None:

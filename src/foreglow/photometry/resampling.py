@@ -20,11 +20,17 @@ COARSEST_STEP_DEG = 1.0
 MAX_CELLS = 8_000_000
 """Cells of a table, 32 MB; over larger areas the finest step is longer: .09 degrees over the whole sphere."""
 
+MIN_KEPT = 0.75
+"""Least share of a peak that is left of it between the angles of a new table: whoever must not be dazzled is by the
+peak. Three values over its upper half are enough."""
+
 _ROWS_AT_ONCE = 64
 """Rows of a table that are resampled together: what is needed in between takes 100 bytes a cell."""
 
 
-def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Floats) -> IntensityTable:
+def resampled(
+    kind: Type, verticals: Floats, horizontals: Floats, candela: Floats, origin: str = "lamp"
+) -> IntensityTable:
     """A file's intensities over azimuth and elevation in equal steps, in the lamp's frame; 0 outside the file's angles.
 
     `read_ies` explains the angles of each type.
@@ -36,6 +42,10 @@ def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Float
             Type C: angles of the half-planes, 0 alone, 0 to 90, 0 to 180, 90 to 270 or 0 to 360 degrees; symmetry gives
             the others.
         candela: Shape (V, H), at least 0.
+        origin: What messages begin with.
+
+    Raises:
+        ValueError: If less than `MIN_KEPT` of the peak is left.
     """
     steps = np.concatenate([np.diff(verticals), np.diff(horizontals)])
     step = float(np.clip(steps.min(), FINEST_STEP_DEG[kind], COARSEST_STEP_DEG))
@@ -57,7 +67,22 @@ def resampled(kind: Type, verticals: Floats, horizontals: Floats, candela: Float
         azimuth, elevation = np.meshgrid(azimuths, elevations[rows])
         vertical, horizontal = _file_angles(kind, azimuth, elevation, horizontals)
         table[rows] = bilinear(candela, verticals, horizontals, vertical, horizontal)
+    check_kept(float(candela.max()), float(table.max()), (step, step), f"{origin}: type {kind}")
     return IntensityTable(azimuths, elevations, table)
+
+
+def check_kept(peak_cd: float, kept_cd: float, steps_deg: tuple[float, float], origin: str) -> None:
+    """Passes a new table, in such steps of azimuth and elevation, that has kept the peak of the one before.
+
+    Raises:
+        ValueError: If it has not; the message begins with `origin`.
+    """
+    if kept_cd < MIN_KEPT * peak_cd:
+        steps = " x ".join(f"{step:.2g}" for step in steps_deg)
+        raise ValueError(
+            f"{origin}: expected light that a table in steps of {steps} degrees holds, got a peak of {peak_cd:.0f} cd, "
+            f"of which {kept_cd:.0f} are left"
+        )
 
 
 def _file_angles(kind: Type, azimuth: Floats, elevation: Floats, horizontals: Floats) -> tuple[Floats, Floats]:

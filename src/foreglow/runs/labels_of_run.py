@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from foreglow.datasets import PVDN, LabelledSource
-from foreglow.datasets.exchange import LabelFile
+from foreglow.datasets.exchange import LabelFile, is_labels
 from foreglow.datasets.exchange.transfer import ORIGIN, Origin, OriginsFile
 from foreglow.datasets.image_folder import frame_numbers
 from foreglow.datasets.json_files import parse_json
 from foreglow.datasets.pvdn.splits import find_split, is_pvdn
+from foreglow.outputs import exists
 from foreglow.runs.origin import origin_digest
 from foreglow.runs.predictions import Predictions
 from foreglow.runs.summary_file import SummaryFile, read_summary
@@ -67,7 +68,8 @@ def labels_of_run(run: Path, labelled: Path, dataset: LabelledSource) -> LabelsO
     """The labels of what the run in `run` was made from, or of a part of it, among those of `dataset`.
 
     Labels know their images by digest: those of a split or beside a file of labels, and what they were imported for.
-    Nothing is asked of runs that know no digest of their source, and of live ones without one that fits.
+    Nothing is asked of runs that know no digest of their source, unless they were made from another file of labels, and
+    of live ones without one that fits.
 
     Args:
         run: The folder of the run, or another one.
@@ -80,29 +82,32 @@ def labels_of_run(run: Path, labelled: Path, dataset: LabelledSource) -> LabelsO
     """
     path = run / "summary.json"
     summary = read_summary(path) if path.is_file() else None
-    if summary is None or summary.source_digest is None:
+    if summary is None:
         return LabelsOfRun(dataset)
+    source = Path(summary.source)
+    doubt = f"{labelled}: nothing tells whether these are labels of what {run} was made from, {source}"
+    if summary.source_digest is None:  # such as of a run on a file of labels, which are of any images
+        is_other = exists(source) and is_labels(source) and source.resolve() != labelled.resolve()
+        return LabelsOfRun(dataset, doubt=doubt if is_other else None)
     digests, stated = digests_of(dataset), stated_origins(dataset)
     found = [each for each in stated if each.digest == summary.source_digest]
     for place, digest in digests.items():
         found += _origins_at(place, digest, dataset) if digest == summary.source_digest else ()
-    numberings = _numberings(found, dataset, Path(summary.source))
+    numberings = _numberings(found, dataset, source)
     if len(numberings) > 1:
         folders = " and ".join(sorted({each.folder or "." for each in found}))
         raise ValueError(
-            f"{labelled}: expected labels of the folder that {run} was made from, {summary.source}, got those of "
+            f"{labelled}: expected labels of the folder that {run} was made from, {source}, got those of "
             f"{folders}, whose images have the same names and sizes; `foreglow labels import` makes labels of each"
         )
     if numberings:
         return _part(dataset, dict(numberings[0]), labelled, summary)
-    source = Path(summary.source)
     is_known = bool(stated or (digests and (is_pvdn(source) or (labelled.is_file() and source.is_dir()))))
     is_live, sizes_px = summary.live is not None, set(summary.frame_sizes_px)
     if is_known or (not is_live and sizes_px and sizes_px.isdisjoint(_sizes_px(dataset))):
         raise ValueError(f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others")
     if is_live or is_pvdn(source):  # without images, a split cannot be told from another one
         return LabelsOfRun(dataset)
-    doubt = f"{labelled}: nothing tells whether these are labels of what {run} was made from, {summary.source}"
     return LabelsOfRun(dataset, doubt=doubt)
 
 

@@ -4,6 +4,7 @@ written here.
 
 from __future__ import annotations
 
+import codecs
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -168,6 +169,17 @@ def run_threshold(path: Path | str) -> float:
     """
     threshold = own_threshold(Path(path))
     return 0.5 if threshold is None else threshold
+
+
+def is_coco_results(path: Path) -> bool:
+    """Whether the predictions in the file at `path` are COCO's results, whose ids of images are those of COCO's labels.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(1 << 10).removeprefix(codecs.BOM_UTF8)
+    return path.suffix.lower() != ".jsonl" and head.lstrip().startswith(b"[")
 
 
 def read_predictions(path: Path | str) -> Predictions:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
-from foreglow.datasets import LabelledSource, open_source
+from foreglow.datasets import FrameSource, LabelledSource, open_source
+from foreglow.datasets.exchange import is_labels
 from foreglow.datasets.source import also_left_out
 from foreglow.files import checked_path
 from foreglow.outputs import check_kinds, check_outputs, exists
@@ -247,7 +248,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
         ValueError: If they cannot be read, or other frames are there now.
     """
     wanted = {result.frame: result.timestamp_ns for result in results}
-    source = open_source(source_of_run(run.folder), on_error="mark")
+    source = open_source_of_run(run.folder)
     frames: dict[int, Frame] = {}
     if isinstance(source, LabelledSource):
         frames = {number: source.read(number) for number in sorted(wanted)}
@@ -264,7 +265,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
 
 
 def doubt_about_source(run: Path, source: Path) -> str | None:
-    """A line if nothing tells whether the run in `run` was made from `source`, and its name is another; else None.
+    """A line if nothing tells whether the run in `run` was made from `source`, and it has another name; else None.
 
     Raises:
         FileNotFoundError: If the run has no summary.
@@ -276,7 +277,8 @@ def doubt_about_source(run: Path, source: Path) -> str | None:
         if digests[0] != digests[1]:
             raise ValueError(f"{source}: expected what {run} was made from, {summary.source}, got something else")
         return None
-    is_named_so = source.absolute().name == Path(summary.source).name
+    named, known = source.absolute(), Path(summary.source)
+    is_named_so = named == known if is_labels(source) else named.name == known.name  # many are called labels.xml
     return None if is_named_so else f"{source}: taken for what {run} was made from, which was {summary.source}"
 
 
@@ -293,6 +295,16 @@ def check_suggestions_of(run: Path, suggestions: Path) -> None:
     ours, other = (read_summary(folder / "summary.json") for folder in (run, home))
     if other.source_digest is None or other.source_digest != ours.source_digest:
         raise ValueError(f"{suggestions}: expected frames of {run}, got those of another run, on {other.source}")
+
+
+def open_source_of_run(run: Path) -> FrameSource:
+    """The frames that the run in the folder `run` was made from, and those that it left out for damage, marked.
+
+    Raises:
+        FileNotFoundError: As `source_of_run`.
+        ValueError: As `source_of_run`, or if they cannot be read.
+    """
+    return open_source(source_of_run(run), on_error="mark", topic=read_summary(run / "summary.json").topic)
 
 
 def source_of_run(run: Path) -> Path:

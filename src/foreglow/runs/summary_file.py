@@ -56,6 +56,9 @@ class RunSummary(_Strict):
     Attributes:
         source: Where the frames came from: an absolute path, or what the user gave.
         source_digest: As `origin_digest` of that path; None where there is no file, and in folders of earlier versions.
+        topic: The topic of a recording that was read; None of other sources, and like the next in folders of earlier
+            versions.
+        on_error: What bad frames did: `stop`, `skip` or `mark`; None of sources without files.
         is_complete: False if the run, or the one whose results it takes, was interrupted; the results until then are
             kept.
         is_classified: Whether a model scored the proposals.
@@ -87,6 +90,8 @@ class RunSummary(_Strict):
 
     source: str
     source_digest: str | None = None
+    topic: str | None = None
+    on_error: str | None = None
     is_complete: bool
     is_classified: bool
     num_frames: Count

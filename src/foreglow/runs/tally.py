@@ -113,6 +113,8 @@ class Tally:
         dispatch: str | None,
         processor: str | None = None,
         num_lost_parts: int = 0,
+        topic: str | None = None,
+        on_error: str | None = None,
     ) -> RunSummary:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
@@ -123,7 +125,9 @@ class Tally:
             is_complete: Whether all frames were run.
             dispatch: As `Pipeline.dispatch`.
             processor: Name of the processor that it ran on; None for that of this machine.
-            num_lost_parts: As in `RunSummary`.
+            num_lost_parts: As in `RunSummary`, as are the next two.
+            topic: The topic of a recording that was read.
+            on_error: What bad frames did.
         """
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
@@ -133,6 +137,8 @@ class Tally:
         return RunSummary(
             source=name,
             source_digest=origin_digest(Path(name)),
+            topic=topic,
+            on_error=on_error,
             is_complete=is_complete,
             is_classified=is_classified,
             num_frames=self.num_frames,

@@ -19,7 +19,7 @@ from typing import Protocol
 
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
-from foreglow.datasets import FrameSource, lost_parts
+from foreglow.datasets import FrameSource, how_read, lost_parts
 from foreglow.datasets.source import also_left_out
 from foreglow.plugins import staying
 from foreglow.runs.folder import OutputFolder
@@ -160,6 +160,7 @@ def run(
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
             num_lost_parts=len(lost_parts(source)),
+            **how_read(source),
         )
         if folder is not None:
             summary = folder.publish(pipeline.config, summary)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -120,8 +121,18 @@ def make_bag(folder: Path, kind: str, pictures: Sequence[Picture], *, compressio
     return bag.path
 
 
-def make_mcap(path: Path, pictures: Sequence[Image], *, compression: str = "ZSTD", chunk_size: int = 1) -> Path:
-    """Foxglove images in a file of the package mcap, 50 ms apart from 0 on; a chunk each, unless it shall be larger."""
+def make_mcap(
+    path: Path,
+    pictures: Sequence[Image],
+    *,
+    compression: str = "ZSTD",
+    chunk_size: int = 1,
+    others: Mapping[str, Sequence[Image]] = MappingProxyType({}),
+) -> Path:
+    """Foxglove images in a file of the package mcap, 50 ms apart from 0 on; a chunk each, unless it shall be larger.
+
+    `others` are those of other cameras by their topics, at the same times and before those of the first.
+    """
     pytest.importorskip("mcap")
     messages = pytest.importorskip("foxglove.messages")
     from mcap.writer import CompressionType, Writer
@@ -131,8 +142,11 @@ def make_mcap(path: Path, pictures: Sequence[Image], *, compression: str = "ZSTD
         writer.start()
         schema = messages.RawImage.get_schema()
         number = writer.register_schema(schema.name, schema.encoding, schema.data)
-        channel = writer.register_channel(TOPIC, "protobuf", number)
-        for index, image in enumerate(pictures):
+        cameras = {**others, TOPIC: pictures}
+        channels = {topic: writer.register_channel(topic, "protobuf", number) for topic in cameras}
+        for index, (topic, image) in (
+            (k, (topic, cameras[topic][k])) for k in range(len(pictures)) for topic in cameras
+        ):
             message = messages.RawImage(
                 timestamp=messages.Timestamp(sec=0, nsec=index * STEP_NS),
                 height=image.shape[0],
@@ -141,6 +155,6 @@ def make_mcap(path: Path, pictures: Sequence[Image], *, compression: str = "ZSTD
                 step=image.shape[1],
                 data=image.tobytes(),
             )
-            writer.add_message(channel, index * STEP_NS, message.encode(), index * STEP_NS)
+            writer.add_message(channels[topic], index * STEP_NS, message.encode(), index * STEP_NS)
         writer.finish()
     return path

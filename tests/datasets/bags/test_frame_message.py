@@ -70,6 +70,25 @@ def test_a_road(heights: list[float], half_width: float, bound: float) -> None:
     assert (found.half_width_m, found.error_bound_m) == (half_width, bound)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_an_earlier_image(dtype: type[np.uint8] | type[np.uint16]) -> None:
+    images = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (2, 64, 96), dtype=dtype)
+    frame = Frame(images[1], 500, 17, "S00001", earlier=Frame(images[0], 250, 17, "S00001"))
+    found = returned(frame).earlier
+    assert found is not None
+    assert (found.timestamp_ns, found.frame, found.sequence, found.image.dtype) == (250, 17, "S00001", np.dtype(dtype))
+    np.testing.assert_array_equal(found.image, images[0])
+    fields = json.loads(FrameMessage.of(frame).to_json())
+    for field, value, words in (
+        ("png", "aGFsZg==", "earlier: png: expected a PNG or a JPEG, got 68616c66"),
+        ("png", "?", "earlier: png: expected base 64, cannot be read"),
+        ("timestamp_ns", 500, "Frame.earlier: expected an image from before 500 ns, got one from 500 ns"),
+    ):
+        text = json.dumps(fields | {"earlier": fields["earlier"] | {field: value}})
+        with pytest.raises(ValueError, match=words):
+            parse_json(text, FrameMessage, "here").frame_of(frame.image, "there")
+
+
 def test_a_message_of_an_earlier_recording() -> None:
     """The names of the fields are those of 0.1.0."""
     camera = {"width": 64, "height": 48, "focal_px": [60.0, 60.0], "centre_px": [32.0, 24.0], "distortion": [0.0] * 5}
@@ -90,7 +109,7 @@ def test_a_message_of_an_earlier_recording() -> None:
         "road": road,
     }
     frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
-    later = {"is_damaged": False, "is_reported": None, "red_chroma": None}
+    later = {"is_damaged": False, "is_reported": None, "red_chroma": None, "earlier": None}
     written = json.loads(FrameMessage.of(frame).to_json())
     assert written.pop("camera") == camera | mount | {"mount_sigmas": [0.0] * 4}
     assert written == {name: value for name, value in (fields | later).items() if name != "camera"}

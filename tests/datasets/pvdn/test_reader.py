@@ -65,11 +65,13 @@ def test_images_of_a_set_with_a_rate_may_be_at_any_times(split: Path) -> None:
     dataset = PVDN(split)
     assert [dataset.time_s(image_id) for image_id in (11, 12, 13, 5, 7)] == [0.0, 0.25, 2.0, 0.0, 0.1]
     assert [dataset.read(image_id).timestamp_ns for image_id in (11, 12)] == [4_500_000_000, 4_750_000_000]
+    assert dataset.mean_rate_hz == pytest.approx(3 / 2.1)
     content["info"]["rate_hz"] = 10
     for image in content["images"]:
         image["timestamp"] = None
     path.write_text(json.dumps(content))
     assert [PVDN(split).time_s(image_id) for image_id in (11, 12, 13)] == [0.0, 0.1, 0.2]
+    assert PVDN(split).mean_rate_hz == 10
     for value, words in {
         700: "more than 700, that of the image before in S00003, got 700",
         10: "more than 700, that of the image before in S00003, got 10",

@@ -23,7 +23,13 @@ NUM_FRAMES = 24
 
 
 def make_video(
-    path: Path, *, codec: str = "mpeg4", pixels: str = "yuv420p", num_frames: int = NUM_FRAMES, rate_hz: int = 25
+    path: Path,
+    *,
+    codec: str = "mpeg4",
+    pixels: str = "yuv420p",
+    num_frames: int = NUM_FRAMES,
+    rate_hz: int = 25,
+    pixel_aspect: Fraction | None = None,
 ) -> Path:
     """A grey ramp that brightens by 8 levels a frame, 96x72; the header lies at the front of an MP4."""
     options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
@@ -31,6 +37,8 @@ def make_video(
         stream: Any = container.add_stream(codec, rate=rate_hz)
         stream.width, stream.height, stream.pix_fmt = 96, 72, pixels
         stream.bit_rate = 2_000_000
+        if pixel_aspect is not None:
+            stream.codec_context.sample_aspect_ratio = pixel_aspect
         for index in range(num_frames):
             image = np.full((72, 96, 3), 8 * index, np.uint8)
             image[:, :48] += 16
@@ -98,12 +106,20 @@ def test_raw_streams_say_what_rate_they_are_taken_for(
     path = make_video(tmp_path / name, codec=codec, pixels=pixels, num_frames=8, rate_hz=50)
     video = Video(path)
     assert video.rate_hz == rate_hz
-    assert video.note.startswith(f"{path}: a raw stream has no times: taken for {rate_hz} frames a second, {why}")
+    assert video.notes[0].startswith(f"{path}: a raw stream has no times: taken for {rate_hz} frames a second, {why}")
     assert [frame.timestamp_ns for frame in video] == [index * 1_000_000_000 // rate_hz for index in range(8)]
 
 
 def test_a_container_has_times_of_its_own(clip: Path) -> None:
-    assert not Video(clip).note
+    assert not Video(clip).notes
+
+
+def test_pixels_that_are_not_square_are_told(tmp_path: Path) -> None:
+    path = make_video(tmp_path / "hdv.mp4", pixel_aspect=Fraction(4, 3))
+    (note,) = Video(path).notes
+    assert note.startswith(f"{path}: its pixels are 1.33 times as wide as high (`ffmpeg ")
+    assert next(iter(Video(path))).image.shape == (72, 96)
+    assert not Video(make_video(tmp_path / "rounded.mp4", pixel_aspect=Fraction(200, 199))).notes
 
 
 def test_more_than_eight_bits_become_sixteen(tmp_path: Path) -> None:

@@ -93,6 +93,13 @@ def test_undefined_resamples_are_left_out() -> None:
         paired_bootstrap(counts[1:], counts[1:], precision, num_resamples=10)
 
 
+def test_of_a_single_scene_there_is_no_interval() -> None:
+    """One of no width looked like certainty."""
+    found = paired_bootstrap(np.array([[3.0, 1, 2]]), np.array([[2.0, 1, 3]]))
+    assert found.difference > 0
+    assert all(map(math.isnan, (found.low, found.high, found.probability)))
+
+
 def test_the_same_scenes_are_needed() -> None:
     with pytest.raises(ValueError, match="same shape"):
         paired_bootstrap(np.ones((2, 3)), np.ones((3, 3)))

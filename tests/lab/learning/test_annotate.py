@@ -146,6 +146,32 @@ def test_sequence_with_newer_files_is_made_again(split: Path, name: str) -> None
     assert new == {f"{100 + index:06d}.json" for index in range(NUM_IMAGES)}
 
 
+def test_key_points_that_are_older_than_the_boxes_are_others_too(split: Path) -> None:
+    """As after a restored backup, or an archive that keeps times."""
+    annotate_split(split, PAPER)
+    path = split / "labels" / "keypoints" / "000100.json"
+    before = path.stat().st_mtime_ns
+    edit(path, "annotations", value=[])
+    os.utime(path, ns=(before - 10**9, before - 10**9))
+    made = annotate_split(split, PAPER)
+    assert made.quality.precision == 1.0
+    labels = PVDN(split).boxes(100)
+    assert labels is not None
+    assert labels.labels == (0.0, 0.0)
+
+
+def test_images_may_be_listed_in_any_order(split: Path) -> None:
+    path = split / "labels" / "sequences.json"
+    sequences = json.loads(path.read_text())
+    for sequence in sequences["sequences"]:
+        sequence["image_ids"].reverse()
+    path.write_text(json.dumps(sequences))
+    annotate_split(split, PAPER)
+    times = changed(split)
+    annotate_split(split, PAPER)
+    assert changed(split) == times
+
+
 def test_missing_box_file_is_made_again(split: Path) -> None:
     annotate_split(split, PAPER)
     before = box_files(split)

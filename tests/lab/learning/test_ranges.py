@@ -1,27 +1,22 @@
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from foreglow.config import PipelineConfig, preset
-from foreglow.datasets import shipped_drive
 from foreglow.distance.hypotheses import parameters_of, read_hypotheses
 from foreglow.lab.learning import ranges
 from foreglow.lab.learning.ranges import FITTED, PRIOR, fit_ranges, ranged_views, write_hypotheses
+from tests.lab.learning.shipped_splits import make_shipped_splits
 
 pytestmark = pytest.mark.torch
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set whose train and val are the drive that ships."""
-    folder = tmp_path_factory.mktemp("drives")
-    for split in ("train", "val"):
-        shutil.copytree(shipped_drive(), folder / split)
-    return folder
+    return make_shipped_splits(tmp_path_factory.mktemp("drives"))
 
 
 CONFIG = preset("foreglow")

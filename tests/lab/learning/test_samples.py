@@ -17,6 +17,7 @@ from foreglow.datasets.images import png
 from foreglow.datasets.pvdn.schema import EarlierImage
 from foreglow.datasets.simulated import KINDS as SIMULATED_KINDS
 from foreglow.datasets.simulated import BoxShares
+from foreglow.datasets.simulated.files import FRAMES_NAME, sequence_folder
 from foreglow.datasets.simulated.shares import write_shares
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation.boxes.lights import SEEN_ON, Light
@@ -40,6 +41,7 @@ from foreglow.types import Frame
 from foreglow.whole_files import RemadeWarning, output_words
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
 from tests.lab.learning.tiny_training import make_samples
+from tests.lab.studies.ranged_drives import make_split
 from tests.pipes import ENDLESS, soon
 
 pytestmark = pytest.mark.torch
@@ -210,6 +212,15 @@ def test_whatever_matters_changes_the_digest(own: PVDN) -> None:
     digests.append(samples_digest(own, PLAIN))
     assert len(set(digests)) == len(digests)
     assert samples_digest(own, PLAIN) == digests[-1]
+
+
+def test_what_a_simulator_knows_counts(tmp_path: Path) -> None:
+    """What a light is seen on and how strong it is: a box is of the group and the kind of its strongest light."""
+    simulated = PVDN(make_split(tmp_path))
+    before = samples_digest(simulated, PLAIN)
+    truth = sequence_folder(simulated.root, simulated.sequences[0].id) / FRAMES_NAME
+    truth.write_bytes(truth.read_bytes() + b"\n")
+    assert samples_digest(simulated, PLAIN) != before
 
 
 @pytest.mark.parametrize("is_cut", [True, False])

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import zlib
 from base64 import b64decode, b64encode
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from foreglow.datasets.images import MAX_SIDE_PX, Chroma
+from foreglow.datasets.images import MAX_SIDE_PX, Chroma, decode_image, png
 from foreglow.datasets.json_files import Record, StoredAs, adapter
 from foreglow.geometry import Camera, Floats, MountSigmas, Pose, check_distortion, check_mount
 from foreglow.types import EgoMotion, Frame, Image, RoadAhead
@@ -124,6 +124,23 @@ def _chroma(stored: _StoredChroma) -> Chroma:
     return np.frombuffer(values, np.uint8).reshape(stored.height, stored.width)
 
 
+class _StoredEarlier(Record):
+    timestamp_ns: int
+    png: str  # in base 64
+
+
+def _stored_earlier(earlier: Frame) -> _StoredEarlier:
+    return _StoredEarlier(timestamp_ns=earlier.timestamp_ns, png=b64encode(png(earlier.image)).decode())
+
+
+def _earlier(stored: _StoredEarlier) -> Frame:
+    try:
+        data = b64decode(stored.png, validate=True)
+    except ValueError as error:
+        raise ValueError(f"png: expected base 64, cannot be read: {error}") from None
+    return Frame(decode_image(data, "png"), stored.timestamp_ns)
+
+
 def _threes(points: Floats) -> tuple[_Three, ...]:
     return tuple((x, y, z) for x, y, z in points.tolist())
 
@@ -143,13 +160,23 @@ class FrameMessage:
     is_damaged: bool = False  # older recordings have neither this
     is_reported: bool | None = None  # nor this
     red_chroma: Annotated[Chroma, StoredAs(_StoredChroma, _chroma, _stored_chroma)] | None = None  # nor this
+    earlier: Annotated[Frame, StoredAs(_StoredEarlier, _earlier, _stored_earlier)] | None = None  # nor this
 
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
-        car = frame.camera, frame.motion, frame.road
-        source = frame.is_damaged, frame.is_reported, frame.red_chroma
-        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, *source)
+        return cls(
+            frame=frame.frame,
+            sequence=frame.sequence,
+            timestamp_ns=frame.timestamp_ns,
+            camera=frame.camera,
+            motion=frame.motion,
+            road=frame.road,
+            is_damaged=frame.is_damaged,
+            is_reported=frame.is_reported,
+            red_chroma=frame.red_chroma,
+            earlier=frame.earlier,
+        )
 
     def to_json(self) -> bytes:
         """The message as JSON."""
@@ -160,7 +187,7 @@ class FrameMessage:
         """The frame with its image.
 
         Raises:
-            ValueError: If the camera or the chroma is for images of another size.
+            ValueError: If the camera, the chroma or the earlier image is for images of another size.
         """
         return Frame(
             image,
@@ -174,4 +201,5 @@ class FrameMessage:
             is_damaged=self.is_damaged,
             is_reported=self.is_reported,
             red_chroma=self.red_chroma,
+            earlier=None if self.earlier is None else replace(self.earlier, frame=self.frame, sequence=self.sequence),
         )

@@ -190,8 +190,9 @@ class Recording(FileSource):
         if self._container.truncation and on_error == "stop":
             self._lose_part(self._container.truncation)
         found = self._found(topic)
-        self.topic, self._decode = found.name, DECODERS[found.type, found.encoding]
-        self.num_frames = self._container.count(self.topic)
+        self.topic = self._topic = found.name
+        self._decode = DECODERS[found.type, found.encoding]
+        self.num_frames = self._container.count(self._topic)
         self.rate_hz = self._rate_hz()
         self.skipped, self.lost_parts = [], []
 
@@ -222,13 +223,13 @@ class Recording(FileSource):
 
     def _read(self) -> Iterator[Message]:
         """The images and what our own recordings have beside them."""
-        for message in self._container.messages({self.topic, FRAME_TOPIC}, self._lose_part):
+        for message in self._container.messages({self._topic, FRAME_TOPIC}, self._lose_part):
             if self.topic == message.topic.name or message.topic.type == FRAME_TYPE:
                 yield message
 
     def _lose_part(self, message: str) -> None:
         """As `_lose`, of a part of the container; an error says how to read the rest."""
-        self._lose(f"{message}; --on-error skip reads what is there" if self._on_error == "stop" else message)
+        self._lose(f"{message}; --on-error skip reads what is there" if self.on_error == "stop" else message)
 
     def _frame(self, image: Message, record: Message | None, index: int, shift: TimeShift | None) -> Frame:
         """The frame of an image; `shift` checks times where images have a record, None where they have none."""
@@ -261,7 +262,7 @@ class Recording(FileSource):
 
     def _rate_hz(self) -> float | None:
         times_ns = []
-        for message in itertools.islice(self._container.messages({self.topic}, self._lose_part), NUM_TIMED):
+        for message in itertools.islice(self._container.messages({self._topic}, self._lose_part), NUM_TIMED):
             try:
                 times_ns.append(_time_ns(self._decode(message.data), message))
             except ValueError:

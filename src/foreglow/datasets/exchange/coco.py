@@ -132,6 +132,7 @@ def read_coco(path: Path) -> LabelSet:
             plain_path(image.file_name, f"{path}: images.{index}.file_name"),
             (image.width, image.height),
             tuple(marks[image.id]),
+            number=image.id,
         )
         for index, image in enumerate(file.images)
     )
@@ -172,12 +173,18 @@ def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], or
     )
 
 
+def _ids(images: Sequence[ImageLabels]) -> Sequence[int]:
+    """The images' own numbers, which results of a run have, too; where one has none that COCO takes, from 1 on."""
+    numbers = [image.number for image in images if image.number is not None and image.number >= 0]
+    return numbers if len(set(numbers)) == len(images) else range(1, len(images) + 1)
+
+
 def coco_text(labels: LabelSet) -> tuple[str, Counter[str]]:
     """The labels as a COCO file, and what it cannot take."""
     lost: Counter[str] = Counter()
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
-    for image_id, image in enumerate(labels.images, start=1):
+    for image_id, image in zip(_ids(labels.images), labels.images, strict=True):
         width_px, height_px = image.size_px or (1, 1)
         images.append({"id": image_id, "file_name": image.name, "width": width_px, "height": height_px})
         lost["category of an image"] += len(image.categories)

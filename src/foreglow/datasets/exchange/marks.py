@@ -78,12 +78,14 @@ class ImageLabels:
         size_px: Width and height; None where the tool does not say it.
         marks: The points, a vehicle's before those of its lights.
         categories: As in `LabelledSource.categories`, without NONE.
+        number: The id by which COCO's results name it; None where nobody gives it one.
     """
 
     name: str
     size_px: tuple[int, int] | None
     marks: tuple[Mark, ...] = ()
     categories: tuple[ImageCategory, ...] = ()
+    number: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +97,14 @@ class LabelSet:
         lost: By what it is, how much the file has that is not here, or could not take.
         is_video: Whether the images are the frames of a video or a folder, by their order; names are then numbers.
         origin: Where the images are, for messages; empty where nobody says it.
+        gap: What is missing of a drive's frames before the last of the images, for messages; empty if nothing is.
     """
 
     images: tuple[ImageLabels, ...]
     lost: Mapping[str, int] = field(default_factory=dict)
     is_video: bool = False
     origin: str = ""
+    gap: str = ""
 
 
 def lost_lines(lost: Mapping[str, int]) -> list[str]:

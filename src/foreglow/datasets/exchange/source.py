@@ -135,6 +135,12 @@ class LabelFile(LabelledSource):
         image, chroma = read_coloured_image(path)
         return self._checked(Frame(image, 0, path=str(path), red_chroma=chroma), image_id)
 
+    @property
+    def coco_ids(self) -> dict[int, int]:
+        """By the id that COCO's file gives them, the images that have another one here; empty for other files."""
+        numbers = {image.number: id_ for id_, image in self._images.items() if image.number is not None}
+        return {} if all(number == id_ for number, id_ in numbers.items()) else numbers
+
     def has_earlier(self, image_id: int) -> bool:
         """Whether a file beside the image is its earlier one, whose age nobody knows, and that has no labels."""
         if self._video is not None:
@@ -210,7 +216,7 @@ class LabelFile(LabelledSource):
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""
         if given is not None and given.is_file():
-            return given.parent, Video(given, on_error=self._on_error)
+            return given.parent, Video(given, on_error=self.on_error)
         if given is not None and not given.is_dir():
             raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
         if given is not None:

@@ -98,7 +98,7 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
         categories = tuple(each for each in dataset.categories(image_id) if each != ImageCategory.NONE)
         name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
         size_px = record.width_px, record.height_px
-        images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories))
+        images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories, image_id))
     if not images:
         raise ValueError(f"{dataset.root}: frames: expected at least one image, got none")
     ordinary = _attributes(schema.Sequence.plain(0))
@@ -138,8 +138,9 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
     unknown = set(chosen or ()) - guesses.keys()
     if unknown:
         raise ValueError(f"frames: expected numbers of frames of the run, got {min(unknown)}")
-    images, waiting = [], set(guesses)
-    for frame in frames:
+    images: list[ImageLabels] = []
+    waiting, gap = set(guesses), ""
+    for place, frame in enumerate(frames):
         if frame.frame not in waiting:
             continue
         waiting.remove(frame.frame)
@@ -151,7 +152,10 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
             )
         if chosen is None or frame.frame in chosen:
             size_px = frame.width_px, frame.height_px
-            images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks))
+            known = frame.frame if isinstance(frames, Video) else place + len(frames.skipped)
+            if known > len(images) and not gap:
+                gap = f"the run has {len(images)} of the {known} before frame {frame.frame}"
+            images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks, number=frame.frame))
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
     if waiting:
@@ -159,7 +163,8 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         raise ValueError(f"{frames.name}: expected the frames of the run, has no frame {min(waiting)}{reason}")
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
-    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=str(origin_of(frames) or frames.name))
+    origin = str(origin_of(frames) or frames.name)
+    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=origin, gap=gap)
 
 
 def _name_of(frame: Frame, frames: FrameSource) -> str:
@@ -195,6 +200,11 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     if form.has_names:
         for image in labels.images:
             plain_path(image.name, f"{labels.origin or path}: name of an image")
+    elif labels.gap:
+        raise ValueError(
+            f"{labels.origin}: expected every frame of a drive for {name}, {labels.gap}; choose --format cvat, which "
+            "has the images' names"
+        )
     text, lost = (form.guess_text if is_guess else form.text)(labels)
     write_atomic(path, with_labels_digest(text))
     return Counter(labels.lost) + lost

@@ -143,7 +143,7 @@ class PVDN(LabelledSource):
     def __iter__(self) -> Iterator[Frame]:
         """The selected frames; with `stop`, a missing image file raises before the first frame is yielded."""
         self.skipped = []
-        if self._on_error == "stop":
+        if self.on_error == "stop":
             for image_id in self.frame_ids:
                 self._check_exists(image_id)
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)

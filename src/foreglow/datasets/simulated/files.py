@@ -43,6 +43,9 @@ _AGAIN = "`foreglow simulate`, as it made this split, writes it again and keeps 
 MAX_FRAMES = 10_000
 """Images of a sequence; an image id is the sequence's number times this, plus the frame's number in the drive."""
 
+FRAMES_NAME = "frames.jsonl"
+"""In the folder of a sequence: its images' truth."""
+
 DEPTH_STEPS_PER_M = 256.0
 
 CONVENTIONS = {
@@ -147,7 +150,7 @@ class TruthWriter:
         if self._camera_toml is None:
             raise ValueError(f"{self.folder}: frames: expected at least one, the drive had none")
         write_atomic(self.folder / "camera.toml", self._camera_toml.encode())
-        write_atomic(self.folder / "frames.jsonl", b"".join(self._lines))
+        write_atomic(self.folder / FRAMES_NAME, b"".join(self._lines))
         write_atomic(self.folder / "road.json", road.model_dump_json().encode())
         write_atomic(self.folder / "scene.json", scene_json.encode())
 
@@ -173,7 +176,7 @@ class SequenceTruth:
     @property
     def path(self) -> Path:
         """The file with its frames."""
-        return self.root / "frames.jsonl"
+        return self.root / FRAMES_NAME
 
     @property
     def directory(self) -> str:
@@ -292,7 +295,7 @@ def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
         sequence_id=sequence_id,
         scenario=_scenario(folder),
         camera=read_calibration(folder / "camera.toml"),
-        frames=tuple(_read_frames(folder / "frames.jsonl", sequence_id)),
+        frames=tuple(_read_frames(folder / FRAMES_NAME, sequence_id)),
     )
 
 

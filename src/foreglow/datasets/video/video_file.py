@@ -43,6 +43,9 @@ RAW_STREAMS = frozenset({"h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu", "av
 MAX_RATE_HZ = 1000
 """A raw stream that says more of itself has no rate that a camera has."""
 
+_SQUARE = Fraction(1, 100)
+"""Pixels that are so much wider than high, or less, are square: some recorders round."""
+
 _RESTART_NS = 1_000_000_000
 """Where times go back by more than this, another recording begins; by less, the frame is refused."""
 
@@ -69,7 +72,9 @@ class Video(FileSource):
         path: The file.
         rate_hz: Average frames a second by the container; None if unknown.
         num_frames: Number of frames by the container, which may be wrong by a few; None if unknown.
-        note: What is assumed of the times, as a line for people; empty if the file has times.
+        pixel_aspect: Width of a pixel over its height, as the file says it, before any display matrix; 1 if it is
+            square to a hundredth, or nobody says it.
+        notes: Lines for people, if need be: what is assumed of the times, and that pixels are not square.
     """
 
     def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
@@ -105,12 +110,15 @@ class Video(FileSource):
             self._is_reordered = container.format.name in ("avi", "asf") and bool(stream.codec_context.has_b_frames)
             self._stated_end_ns = _stated_end_ns(container)
             self._hole = hole(self.path, container.format.name)
+            self.pixel_aspect = _pixel_aspect(stream)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
         self.rate_hz = float(self._rate) if self._rate else None
-        self.note = ""
+        self.notes: list[str] = []
+        if self.pixel_aspect != 1:
+            self.notes.append(f"{self.path}: {self.words_on_pixels}, and are taken as they are stored")
         if self._is_raw and self._rate is not None:
             why = "as the stream says itself" if is_stated else "as nothing says another rate"
-            self.note = (
+            self.notes.append(
                 f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
                 "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
             )
@@ -123,6 +131,12 @@ class Video(FileSource):
     def name(self) -> str:
         """Name of the file."""
         return self.path.name
+
+    @property
+    def words_on_pixels(self) -> str:
+        """That its pixels are not square, and what can be done about it."""
+        shape = f"its pixels are {float(self.pixel_aspect):.3g} times as wide as high"
+        return f"{shape} (`ffmpeg -i FILE -vf scale=iw*sar:ih,setsar=1 OUT.mp4` makes them square)"
 
     def __iter__(self) -> Iterator[Frame]:
         self.lost_parts = [*self._lost]
@@ -150,7 +164,7 @@ class Video(FileSource):
                     if picture is not None and picture.pts is not None and picture.time_base:
                         end = (int(picture.pts) + (picture.duration or 0)) * Fraction(picture.time_base)
                         reached_ns = max(reached_ns, round(end * 1_000_000_000))
-                    if is_damaged and (picture is None or self._on_error != "mark"):
+                    if is_damaged and (picture is None or self.on_error != "mark"):
                         self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
                         continue
                     timestamp_ns = self._timestamp_ns(index, picture, latest)
@@ -270,6 +284,12 @@ class _Whole:
                 num_others[packet.stream.index] += 1
         if any(num > _LAST_PACKETS and num_ours[index] <= _LAST_PACKETS for index, num in num_others.items()):
             raise InvalidDataError(errno.EINVAL, "another video stream begins where this one ends")
+
+
+def _pixel_aspect(stream: Any) -> Fraction:
+    """Width of a pixel over its height; 1 if that is unknown, or hardly another."""
+    found = Fraction(stream.sample_aspect_ratio or 1)
+    return found if abs(found - 1) > _SQUARE else Fraction(1)
 
 
 def _stated_end_ns(container: Any) -> int:

@@ -96,7 +96,8 @@ def paired_bootstrap(
     """How sure it is that a's figure is above b's, had other scenes of the same sort been drawn.
 
     Whole scenes are drawn with replacement, as many as there are, the same ones for a and b: images of a scene depend
-    on each other, and a hard scene is hard for both. With fewer than some twenty scenes the interval is too narrow.
+    on each other, and a hard scene is hard for both. With fewer than some twenty scenes the interval is too narrow; of
+    a single scene there is none, and interval and probability are NaN: every resample is that scene.
 
     Args:
         counts_a: Shape (S, C), counts of each scene that add up, such as those of `scene_counts`.
@@ -119,14 +120,14 @@ def paired_bootstrap(
     drawn = resampled(difference, len(counts_a), num_resamples, seed)
     if not len(drawn):
         raise ValueError("counts: expected scenes for which the figure is defined, got none")
-    low, high = np.percentile(drawn, (2.5, 97.5))
+    low, high = np.percentile(drawn, (2.5, 97.5)) if len(counts_a) > 1 else (math.nan, math.nan)
     return Difference(
         a=float(figure(counts_a.sum(axis=0))),
         b=float(figure(counts_b.sum(axis=0))),
         mean=float(drawn.mean()),
         low=float(low),
         high=float(high),
-        probability=float(np.mean(drawn >= 0.0)),
+        probability=float(np.mean(drawn >= 0.0)) if len(counts_a) > 1 else math.nan,
         num_scenes=len(counts_a),
         num_resamples=len(drawn),
         seed=seed,

@@ -162,7 +162,7 @@ def read_encounters(
                 light_s=light_s,
                 sight_s=next(sights, math.nan),
                 production_s=production_s,
-                duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+                duration_s=dataset.time_s(max(sequence.image_ids)),
             )
         )
     return tuple(encounters)

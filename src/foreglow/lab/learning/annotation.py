@@ -30,7 +30,7 @@ from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import lies_in
-from foreglow.lab.learning.kept_files import checksum_of, file_checksum
+from foreglow.lab.learning.kept_files import checksum_of, file_checksum, state_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
@@ -129,6 +129,8 @@ class _SequenceRecord(FrozenModel):
 
     Attributes:
         checksum: Of all its files, as `_checksum`; those of an early version have none, and are not checked.
+        sources: The state of the images and key points that they were made of, as `_sources`; boxes of an early version
+            do not say it, and are made again.
     """
 
     directory: str
@@ -137,6 +139,7 @@ class _SequenceRecord(FrozenModel):
     num_positive: int
     num_ignored: int
     checksum: int | None = None
+    sources: str | None = None
 
 
 class _Record(FrozenModel):
@@ -200,7 +203,7 @@ def annotate_split(
 
     A box is labelled 1 with a key point in it and 0 without; a box that contains only doubtful light is left out. Files
     are written atomically. An interrupted call can be repeated: sequences that were finished with the same parameters
-    are kept, unless an image or its key points are newer than the boxes. Boxes that are not what was written, perhaps
+    are kept, unless an image or its key points have changed since. Boxes that are not what was written, perhaps
     by hand, are neither counted nor replaced, whatever the parameters; see `check_boxes`.
 
     Raises:
@@ -294,7 +297,9 @@ def _annotate_sequence(
     """The record of a sequence, and what its files of boxes hold, by their paths in `labels`."""
     dataset, proposer = _dataset(root, call), make_proposer(config)
     counts, files = [], {}
-    for image_id in dataset.only(directory).frame_ids:
+    image_ids = dataset.only(directory).frame_ids
+    sources = _sources(dataset, image_ids)
+    for image_id in image_ids:
         if parent.is_stopped:
             raise KeyboardInterrupt
         boxes, *numbers = _annotate_image(dataset, image_id, proposer)
@@ -305,13 +310,24 @@ def _annotate_sequence(
         num_images=len(counts),
         **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
         checksum=checksum_of([zlib.crc32(data) for data in files.values()]),
+        sources=sources,
     )
     return record, files
 
 
+def _sources(dataset: PVDN, image_ids: Iterable[int]) -> str:
+    """The state of these images and of their key points."""
+    keypoints = dataset.root / "labels" / "keypoints"
+    return state_of(
+        path
+        for image_id in sorted(image_ids)
+        for path in (dataset.image_path(image_id), keypoints / f"{image_id:06d}.json")
+    )
+
+
 def _checksum(dataset: PVDN, image_ids: Iterable[int]) -> int:
-    """CRC-32 of those of the images' files of boxes."""
-    return checksum_of([file_checksum(_box_file(dataset, image_id)) for image_id in image_ids])
+    """CRC-32 of those of the images' files of boxes, in the order of the images, in which they are made."""
+    return checksum_of([file_checksum(_box_file(dataset, image_id)) for image_id in sorted(image_ids)])
 
 
 @functools.lru_cache(maxsize=1)
@@ -341,7 +357,7 @@ def _record_in(path: Path) -> _Record | None:
 
 
 def _kept(dataset: PVDN, there: _Record | None, wanted: _Record) -> dict[str, _SequenceRecord]:
-    """The sequences that were finished with the same parameters, and whose boxes are newer than images and labels."""
+    """The sequences that were finished with the same parameters, and of the images and labels that are there."""
     if there is None or not there.is_made_like(wanted):
         return {}
     finished = {sequence.directory: sequence for sequence in there.sequences}
@@ -353,15 +369,10 @@ def _kept(dataset: PVDN, there: _Record | None, wanted: _Record) -> dict[str, _S
 
 
 def _is_current(dataset: PVDN, sequence: Sequence, record: _SequenceRecord) -> bool:
-    def changed_ns(*paths: Path) -> int:
-        return max((path.stat().st_mtime_ns for path in paths if path.exists()), default=0)
-
-    keypoints = dataset.root / "labels" / "keypoints"
-    is_current = record.num_images == len(sequence.image_ids) and all(
-        _box_file(dataset, image_id).exists()
-        and changed_ns(_box_file(dataset, image_id))
-        >= changed_ns(dataset.image_path(image_id), keypoints / f"{image_id:06d}.json")
-        for image_id in sequence.image_ids
+    is_current = (
+        record.num_images == len(sequence.image_ids)
+        and all(_box_file(dataset, image_id).exists() for image_id in sequence.image_ids)
+        and record.sources == _sources(dataset, sequence.image_ids)
     )
     if is_current and record.checksum not in (None, _checksum(dataset, sequence.image_ids)):
         raise ValueError(

@@ -26,6 +26,7 @@ from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_fo
 from foreglow.datasets.pvdn import is_split
 from foreglow.files import check_each_once
 from foreglow.lab.learning.annotation import IGNORED, POSITIVE
+from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.old_samples import NUM_SAMPLES, HeldOut, chosen, read_old_samples
 from foreglow.lab.learning.recipes import RECIPES, Recipe, changed
 from foreglow.lab.learning.samples import NO_GROUP, Samples, joined
@@ -33,7 +34,6 @@ from foreglow.lab.learning.scores import Counting, light_logits
 from foreglow.lab.learning.training_progress import RunProgress
 from foreglow.lab.learning.training_run import (
     TEXTS,
-    check_apart,
     finish,
     labelled_samples,
     sample_counts,

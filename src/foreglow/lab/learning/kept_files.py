@@ -8,6 +8,7 @@ import os
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,19 @@ _ZIP = b"PK\x03\x04"
 
 
 def image_state(path: Path) -> bytes:
-    """16 bytes that tell an image from any other that was in its place: of its size, time of change and contents.
+    """16 bytes that tell an image from any other that was in its place: of its time of change, size and contents.
 
-    Of a PNG, the last `END_BYTES` are read, of any other image all.
+    Raises:
+        OSError: If it cannot be read.
+        ValueError: If it is no regular file.
+    """
+    check_file(path)
+    changed_ns = path.stat().st_mtime_ns
+    return hashlib.blake2b(b"%d " % changed_ns + image_contents(path), digest_size=16).digest()
+
+
+def image_contents(path: Path) -> bytes:
+    """16 bytes of an image's size and contents: of a PNG, the last `END_BYTES` are read, of any other image all.
 
     Raises:
         OSError: If it cannot be read.
@@ -41,12 +52,27 @@ def image_state(path: Path) -> bytes:
     with path.open("rb") as file:
         state = os.fstat(file.fileno())
         start = file.read(len(_PNG))
-        digest.update(b"%d %d " % (state.st_size, state.st_mtime_ns) + start)
+        digest.update(b"%d " % state.st_size + start)
         if start == _PNG:
             file.seek(max(file.tell(), state.st_size - END_BYTES))
         while piece := file.read(MIB):
             digest.update(piece)
     return digest.digest()
+
+
+def state_of(paths: Iterable[Path]) -> str:
+    """What tells these files, in this order, from any others in their places: their `image_state` and which are there.
+
+    A time of change alone does not: what was restored from a backup is older than what was made of its successor.
+
+    Raises:
+        OSError: If one cannot be read.
+        ValueError: If one is no regular file.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    for path in paths:
+        digest.update(image_state(path) if path.exists() else b"-")
+    return digest.hexdigest()
 
 
 def file_checksum(path: Path) -> int:

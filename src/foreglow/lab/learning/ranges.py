@@ -40,6 +40,7 @@ from foreglow.distance.road_surface import RoadSurface, View
 from foreglow.distance.weighing import weighed_ranges
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import smallest_box
+from foreglow.lab.learning.apart import check_apart
 from foreglow.proposals import make_proposer
 from foreglow.types import Detections
 from foreglow.whole_files import write_atomic
@@ -98,7 +99,9 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
         FileNotFoundError: If a file of the data set is missing.
         ValueError: If one is broken, or no light has a box and a known range.
     """
-    train, val = (list(ranged_views(split_folder(data, name), config, progress)) for name in ("train", "val"))
+    learnt, judging = split_folder(data, "train"), split_folder(data, "val")
+    check_apart([learnt], [judging])
+    train, val = (list(ranged_views(root, config, progress)) for root in (learnt, judging))
     if not train or not val:
         raise ValueError(f"{data}: expected lights with a box and a known range in train and val, found none")
     fitted = _fitted(read_hypotheses(PRIOR), train, seed, progress)

@@ -17,11 +17,15 @@ import numpy as np
 
 import foreglow._native as _native
 import foreglow.classifier as classifier
+import foreglow.lab.evaluation.boxes.lights as lights
+import foreglow.lab.learning.annotation as annotation
+import foreglow.lab.learning.samples as samples
 import foreglow.proposals as proposals
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.images import NPY_ERRORS
 from foreglow.datasets.simulated import shares_path
-from foreglow.files import MAX_JSON_BYTES, read_bytes, read_plain_json
+from foreglow.datasets.simulated.files import FRAMES_NAME, sequence_folder
+from foreglow.files import MAX_JSON_BYTES, file_digest, read_bytes, read_plain_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.kept_files import file_checksum, image_state
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
@@ -96,7 +100,8 @@ def _clear(cache: Path) -> None:
 def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
     """SHA-256 of everything that determines the samples.
 
-    That is: images (path and `image_state`), labels, configuration, and the code of the two stages.
+    That is: images (path and `image_state`), labels, what a simulator knows of them, configuration, and the code that
+    makes samples of them.
     """
     digest = hashlib.sha256()
 
@@ -114,17 +119,18 @@ def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
             add(earlier.file_name, earlier.age_ms, image_state(before).hex() if before.is_file() else None)
         keypoints = dataset.root / "labels" / "keypoints" / f"{image_id:06d}.json"
         digest.update(read_bytes(keypoints, MAX_JSON_BYTES))
-    if config.by_light:
-        for sequence in dataset.sequences:
-            path = shares_path(dataset.root, sequence.id)
-            digest.update(path.read_bytes() if path.is_file() else b"")
+    for sequence in dataset.sequences:
+        beside = [sequence_folder(dataset.root, sequence.id) / FRAMES_NAME]  # which light is strong, and what it is on
+        beside += [shares_path(dataset.root, sequence.id)] if config.by_light else []
+        add(*(file_digest(path) if path.is_file() else None for path in beside))
     return digest.hexdigest()
 
 
 def _code_digest() -> str:
     """SHA-256 of the code that makes boxes and crops, so that samples of older code are not used."""
     folders = (Path(proposals.__file__).parent, Path(classifier.__file__).parent)
-    files = [Path(_native.__file__), *(path for folder in folders for path in sorted(folder.glob("*.py")))]
+    own = [Path(str(module.__file__)) for module in (annotation, lights, samples)]
+    files = [Path(_native.__file__), *own, *(path for folder in folders for path in sorted(folder.glob("*.py")))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

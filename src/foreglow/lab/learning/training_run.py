@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any
 from scipy.special import expit
 
 from foreglow.checksums import check_as_written, replace_results
-from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.config import PipelineConfig, config_to_toml, read_config
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
 from foreglow.files import check_each_once, json_text
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
 from foreglow.lab.learning.annotation import IGNORED, NEGATIVE, POSITIVE
+from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined, joined_digest
@@ -130,25 +131,14 @@ def train_model(
     return write_results(folder, recipe, config, summary)
 
 
-def check_apart(learnt: Sequence[Path], judging: Sequence[Path], data: Sequence[Path]) -> None:
-    """Checks that nothing is learnt from which judges or tests: all figures would be too good, and nobody would see it.
-
-    Args:
-        learnt: The splits to train on.
-        judging: The splits to validate on.
-        data: The data sets, or single splits, that the user gave.
+def training_configuration(model: Path, base: PipelineConfig | None = None) -> PipelineConfig | None:
+    """The configuration that a training has written beside its model; None for a model elsewhere.
 
     Raises:
-        ValueError: If a split to train on judges, lies in a data set that is given as well, or is called test.
+        ValueError: If it is broken.
     """
-    for path in learnt:
-        if any(path.resolve() == judge.resolve() for judge in judging):
-            raise ValueError(f"{path}: expected a split to train on, got one that judges what is learnt")
-        if path.resolve().name == "test":
-            raise ValueError(f"{path}: expected a split to train on, got a test split, which is never learnt from")
-        outer = next((each for each in data if path in data and each.resolve() in path.resolve().parents), None)
-        if outer is not None:
-            raise ValueError(f"{path}: expected a split outside the data sets that are given, got one of {outer}")
+    file = model.with_name(CONFIG)
+    return read_config(file, base) if model.name == MODEL and file.is_file() else None
 
 
 def sample_counts(samples: Samples) -> dict[str, int]:

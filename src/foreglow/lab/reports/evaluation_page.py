@@ -380,7 +380,7 @@ def _add_vehicles(page: Page, vehicles: Sequence[FirstFound], rate_hz: float) ->
     leads_s = [vehicle.lead_s for vehicle in ahead if not math.isnan(vehicle.lead_s)]
     page.section(
         "From first light to first box",
-        f"{rate_hz:g} images a second. {len(vehicles)} oncoming vehicles, {len(delays_s)} of them found: "
+        f"{rate_hz:.3g} images a second. {len(vehicles)} oncoming vehicles, {len(delays_s)} of them found: "
         f"{_spread(delays_s)} s after their first light. The light of {len(ahead)} comes before their first lamp; "
         f"{_number(share_found_ahead(vehicles))} of these are found before the lamp is there; those that are found at "
         f"all, {_spread(leads_s)} s before it.",

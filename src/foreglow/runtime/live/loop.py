@@ -202,6 +202,7 @@ class LiveLoop:
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
             num_lost_parts=len(self._source.lost_parts) if isinstance(self._source, Paced) else 0,
+            **(self._source.how_read if isinstance(self._source, Paced) else {}),
         )
         return LiveSummary(
             run=run,

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
-from foreglow.datasets import FrameSource, lost_parts, unread_end
+from foreglow.datasets import FrameSource, how_read, lost_parts, unread_end
 from foreglow.runs.origin import origin_name
 from foreglow.types import BeamCommand, Frame
 
@@ -91,6 +91,7 @@ class Paced:
             raise ValueError(f"speed: expected a positive number of at least {MIN_SPEED:g}, got {speed}")
         self._source = source
         self.name, self.rate_hz, self.num_frames = origin_name(source), source.rate_hz, source.num_frames
+        self.how_read = how_read(source)
         self.speed, self.is_lossless = speed, math.isinf(speed)
         self._first_ns, self._start_ns = 0, time.monotonic_ns()
         if self.is_lossless:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ from foreglow.lab.evaluation.boxes.robustness import (
     noise_level,
     rain,
 )
-from foreglow.types import Frame, Image
+from foreglow.types import EgoMotion, Frame, Image
 from tests.stand_ins import night_image
 
 IMAGE = night_image(3, 240, 640)
@@ -39,6 +41,18 @@ def test_laws(disturbance: Disturbance) -> None:
     wide = disturbance(Frame(IMAGE.astype(np.uint16) * 257, 5, frame=9))
     assert wide.image.dtype == np.uint16
     assert np.abs(wide.image / 257.0 - changed.image).max() < 2  # the same on its own scale
+
+
+@pytest.mark.parametrize("disturbance", DISTURBANCES, ids=name_of)
+def test_the_earlier_image_is_disturbed_alike(disturbance: Disturbance) -> None:
+    earlier = Frame(IMAGE[::-1].copy(), timestamp_ns=2, frame=9)
+    chroma = np.full((120, 320), 140, np.uint8)
+    changed = disturbance(Frame(IMAGE, timestamp_ns=5, frame=9, earlier=earlier, red_chroma=chroma))
+    assert changed.earlier is not None
+    assert changed.earlier.timestamp_ns == 2
+    assert np.array_equal(changed.earlier.image, earlier.image) == (disturbance is UNDISTURBED)
+    assert np.array_equal(changed.image, disturbance(FRAME).image)
+    assert changed.red_chroma is not None
 
 
 @pytest.mark.parametrize("disturbance", DISTURBED, ids=name_of)
@@ -105,3 +119,18 @@ def test_images_of_one_pixel() -> None:
         assert disturbance(single).image.shape == (1, 1)
     assert noise_level(np.zeros((1, 1), np.float32)) == 0.0
     assert black_level(np.full((3, 3), 4.0, np.float32)) == 4.0
+
+
+@pytest.mark.parametrize("disturbance", DISTURBANCES, ids=name_of)
+def test_all_else_that_a_frame_has_stays(disturbance: Disturbance) -> None:
+    """Without the image before, a model that reads it was judged as at a drive's start, also as it is."""
+    before = Frame(night_image(4, 240, 640), timestamp_ns=1, frame=9, path="before")
+    motion = EgoMotion(speed_mps=20.0, yaw_rate_radps=0.0)
+    changed = disturbance(dataclasses.replace(FRAME, earlier=before, motion=motion))
+    assert changed.motion == motion
+    assert changed.earlier is not None
+    assert (changed.earlier.timestamp_ns, changed.earlier.path) == (1, "before")
+    assert np.array_equal(changed.earlier.image, before.image) == (disturbance is UNDISTURBED)
+    assert np.array_equal(changed.image, disturbance(FRAME).image)
+    noises = [each.astype(int) for each in (changed.earlier.image, disturbance(before).image)]
+    assert np.array_equal(*noises) == (not disturbance.name.startswith(("noise", "haze", "rain"))), "noise of its own"

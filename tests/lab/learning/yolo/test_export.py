@@ -84,6 +84,16 @@ def test_labels_that_changed_since_are_exported_again(annotated: Path, tmp_path:
     assert exported.read_text() == ""
 
 
+def test_labels_that_are_older_than_the_export_are_others_too(annotated: Path, tmp_path: Path) -> None:
+    """As after a restored backup, or an archive that keeps times."""
+    export_yolo(annotated, tmp_path / "out", size_px=48)
+    boxes = annotated / "night/val/labels/bounding_boxes/000011.json"
+    before_ns = boxes.stat().st_mtime_ns - 10**9
+    write(boxes, {"bounding_boxes": [], "labels": []})
+    os.utime(boxes, ns=(before_ns, before_ns))
+    assert export_yolo(annotated, tmp_path / "out", size_px=48).num_boxes == {"val": 0}
+
+
 @pytest.mark.parametrize(
     ("name", "data"),
     [

@@ -91,6 +91,26 @@ def test_a_finished_run_is_not_trained_again(calls: Calls, data: Path, tmp_path:
     assert len(calls.trained) == 1
 
 
+@pytest.mark.parametrize("is_export", [False, True])
+def test_a_run_is_of_its_data(calls: Calls, data: Path, tmp_path: Path, *, is_export: bool) -> None:
+    """Of other labels or another export, it was taken for finished."""
+    out, given = tmp_path / "run", data
+    if is_export:
+        given = export_yolo(data, tmp_path / "one", size_px=64).data_file.parent
+    train_yolo(given, out, config(calls.name))
+    for label in (data / "train/labels/keypoints").glob("*.json"):
+        label.write_text(json.dumps(json.loads(label.read_text()) | {"annotations": []}))
+    if is_export:
+        given = export_yolo(data, tmp_path / "two", size_px=64).data_file.parent
+    with pytest.raises(ValueError, match=r"config\.json: data_sha256: expected .* choose another folder"):
+        train_yolo(given, out, config(calls.name))
+    record = json.loads((out / "config.json").read_text())
+    del record["data_sha256"]  # as before there was one
+    (out / "config.json").write_text(json.dumps(record))
+    train_yolo(given, out, config(calls.name))
+    assert len(calls.trained) == 1
+
+
 def test_an_interrupted_run_goes_on(calls: Calls, data: Path, tmp_path: Path) -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foreglow.config import PRESETS, preset
+from foreglow.config import PRESETS, config_to_toml, preset, read_config
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
 from foreglow.lab.learning.annotation import label_boxes
@@ -32,6 +32,7 @@ from foreglow.proposals.reference import ReferenceProposer
 from foreglow.whole_files import RemadeWarning
 from tests.lab.learning.yolo.fakes import Calls, fake_libreyolo
 from tests.lab.studies.detector_data import Trainings, boxes_around, make_data, make_model
+from tests.lab.studies.ranged_drives import make_split
 
 pytestmark = pytest.mark.torch
 
@@ -205,6 +206,55 @@ def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Training
     (folder / "summary.json").write_text("{}")
     with pytest.raises(ValueError, match=r"summary\.json: expected the summary of a training: KeyError"):
         run_experiment(data, tmp_path / "fourth", plan)
+
+
+@pytest.mark.usefixtures("trainings")
+@pytest.mark.parametrize("section", ["classifier", "standing"])
+def test_another_configuration_of_a_given_training_makes_its_row_anew(section: str, tmp_path: Path) -> None:
+    """The row of the former one was read again."""
+    data = make_data(tmp_path / "data")
+    run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
+    folder = tmp_path / "first/models/paper"
+    plan = DetectorPlan(rows=("paper",), given={"paper": folder}, may_train=False)
+    (before,) = run_experiment(data, tmp_path / "out", plan).rows
+    used = read_config(folder / "config.toml")
+    changes: dict[str, dict[str, Any]] = {"classifier": {"support": 3}, "standing": {"enabled": True}}
+    (folder / "config.toml").write_text(config_to_toml(used.changed(section, **changes[section])))
+    (after,) = run_experiment(data, tmp_path / "out", plan).rows
+    assert after.key != before.key
+    moved = folder.rename(tmp_path / "moved")
+    plan = DetectorPlan(rows=("paper",), given={"paper": moved}, may_train=False)
+    assert run_experiment(data, tmp_path / "out", plan).rows == (after,)
+
+
+@pytest.mark.usefixtures("trainings")
+def test_a_models_file_in_its_trainings_folder_tells_its_boxes(tmp_path: Path) -> None:
+    """Only the folder was asked, so that the file was measured on boxes that it does not know."""
+    data = make_data(tmp_path / "data")
+    run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
+    model = tmp_path / "first/models/paper/model.onnx"
+    DetectorPlan(rows=("paper",), given={"paper": model})
+    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of Baseline's preset"):
+        DetectorPlan(rows=("baseline",), given={"baseline": model})
+    config = model.with_name("config.toml")
+    config.write_text(config_to_toml(read_config(config).changed("proposals", kappa=0.5)))
+    with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of Paper's preset"):
+        paper_chain(model)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["scenes.jsonl", "simulation/S00001/frames.jsonl", "simulation/S00001/camera.toml", "labels/sequences.json"],
+)
+def test_the_digest_of_a_split_is_of_all_that_figures_depend_on(name: str, tmp_path: Path) -> None:
+    root = make_split(tmp_path / "data")
+    before = split_digest(root)
+    content = (root / name).read_bytes()
+    (root / name).write_bytes(content + b"\n")
+    assert split_digest(root) != before
+    (root / name).write_bytes(content)
+    (root / "labels" / ".lock").touch()
+    assert split_digest(root) == before
 
 
 def of_network(path: Path, recipe: str) -> Path:

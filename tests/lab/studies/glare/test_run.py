@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+import shutil
 from pathlib import Path
 from typing import Never
 
@@ -297,6 +298,44 @@ def test_a_folder_is_of_one_paper_chain(tmp_path: Path) -> None:
             begin(given)
     with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
         begin(model)
+
+
+def test_drives_of_other_lamps_are_not_added(tmp_path: Path) -> None:
+    """Their file may be edited between two calls; its name is the same."""
+
+    class Stopped(Local):
+        def each(self, *_: object, **__: object) -> Never:
+            raise KeyboardInterrupt
+
+    scenes, out = write_scenes_of(tmp_path, scene()), tmp_path / "out"
+    lamps = Path(shutil.copy(SHIPPED, tmp_path / "lamps.toml"))
+    car = config().commanding(headlamps=lamps)
+
+    def begin() -> None:
+        run_experiment(scenes, car, GlarePlan(quality="fast"), out, workers=Stopped(), progress=lambda *_: None)
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            begin()
+    lamps.write_text(lamps.read_text() + "\n")
+    with pytest.raises((ValueError, KeyboardInterrupt), match=r"models: expected .*lamps\.toml as it was here before"):
+        begin()
+
+
+def test_drives_of_another_version_are_not_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Stopped(Local):
+        def each(self, *_: object, **__: object) -> Never:
+            raise KeyboardInterrupt
+
+    scenes, out = write_scenes_of(tmp_path, scene()), tmp_path / "out"
+    for version, commit in (("1", "a"), ("1", "b"), ("1", "a"), ("2", "c")):
+        monkeypatch.setattr(run, "provenance", lambda made={"version": version, "commit": commit}: made)
+        with pytest.raises((ValueError, KeyboardInterrupt)) as stopped:
+            run_experiment(
+                scenes, config(), GlarePlan(quality="fast"), out, workers=Stopped(), progress=lambda *_: None
+            )
+    assert "plan.json: version: expected 1, which drove the scenes here, got 2; choose another folder" in str(stopped)
+    assert json.loads((out / "plan.json").read_text())["commits"] == ["a", "b"]
 
 
 def test_a_car_that_cannot_be_made_leaves_no_folder(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, Experimen
 from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.lab.studies.reproduction.run import Outcome, run_experiments
+from foreglow.photometry.headlamps import SHIPPED
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.studies.detector_data import make_model
 from tests.lab.studies.ranged_drives import make_split
@@ -80,6 +81,10 @@ def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypat
     calls.clear()
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert calls == ["detector", "distance", "glare"]
+    calls.clear()
+    monkeypatch.setattr("importlib.metadata.version", lambda _: "another one")
+    run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
+    assert len(calls) == len(EXPERIMENTS)
 
 
 def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,6 +99,36 @@ def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: p
     run_experiments(plan, tmp_path / "out", progress=quiet)
     assert {"detector", "time-benefit", "glare", "runtime"} <= set(calls)
     assert not {"settings", "data", "distance"} & set(calls)
+
+
+def test_other_files_of_the_configuration(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lamps under the same name as before: the results of the former ones were read again."""
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    lamps = Path(shutil.copy(SHIPPED, tmp_path / "lamps.toml"))
+    plan = ReproductionPlan(data, config=preset("foreglow").changed("beam", headlamps=lamps))
+    for text in ("", "\n"):
+        calls.clear()
+        lamps.write_text(lamps.read_text() + text)
+        run_experiments(plan, tmp_path / "out", progress=quiet)
+    assert {"time-benefit", "glare", "drive", "runtime"} <= set(calls)
+    assert not {"settings", "data", "distance", "detector"} & set(calls)
+
+
+def test_another_yolo_in_the_same_folder(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    folder = tmp_path / "yolo"
+    folder.mkdir()
+    training = {"backend": "libreyolo", "size": "s", "image_size_px": 64}
+    (folder / "config.json").write_text(json.dumps({"training": training, "boxes": "x", "export_size_px": 64}))
+    counts = {"num_parameters": 1, "num_multiply_adds": 1, "seconds": 1.0}
+    (folder / "results.json").write_text(json.dumps({"weights": "best.pt"} | counts))
+    for content in (b"one", b"two"):
+        calls.clear()
+        (folder / "best.pt").write_bytes(content)
+        run_experiments(ReproductionPlan(data, models={"yolo-small": folder}), tmp_path / "out", progress=quiet)
+    assert calls == ["detector"]
 
 
 def test_an_experiment_that_the_data_do_not_allow(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

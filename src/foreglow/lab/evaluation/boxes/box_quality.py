@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.datasets.exchange import LabelFile
 from foreglow.files import checked_path
 from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.runs.labels_of_run import LabelsOfRun, labels_of_run
-from foreglow.runs.predictions import Predictions, read_predictions, run_threshold
+from foreglow.runs.predictions import Predictions, is_coco_results, read_predictions, run_threshold
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +191,9 @@ def compared_labels(
     """
     is_of_run = path.name == "frames.jsonl"
     found = labels_of_run(path.parent, split, dataset) if is_of_run else LabelsOfRun(dataset)
+    if isinstance(dataset, LabelFile) and dataset.coco_ids and is_coco_results(path):
+        line = f"{path}: its image ids are taken for those in {split}, not for numbers of frames"
+        found = LabelsOfRun(dataset, dataset.coco_ids, line)
     images = predictions.boxes_xyxy_px.keys()
     if images and images.isdisjoint(dataset.frame_ids if found.ids is None else found.ids):
         raise ValueError(f"{path}: expected boxes in images of {split}, got those of others, such as {min(images)}")

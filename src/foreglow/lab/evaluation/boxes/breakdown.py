@@ -153,7 +153,7 @@ class SplitLabels:
 
     Attributes:
         name: The split, such as `day/val`.
-        rate_hz: Its frames a second.
+        rate_hz: Its frames a second, as `LabelledSource.mean_rate_hz`.
         lights: By image id, for every image.
         doubtful_px: By image id, shape (D, 2): light that is neither an instance nor a fault to find.
         empty_images: Images in which no vehicle's light is to be seen, not even a doubtful one.
@@ -228,7 +228,7 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
     lights = read_lights(dataset)
     return SplitLabels(
         name=dataset.name,
-        rate_hz=dataset.rate_hz,
+        rate_hz=dataset.mean_rate_hz,
         lights=lights,
         doubtful_px={image_id: _positions(dataset.doubtful(image_id)) for image_id in ids},
         empty_images=frozenset(empty_images(dataset)),

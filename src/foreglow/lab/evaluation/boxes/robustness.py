@@ -7,6 +7,7 @@ Grey levels are those of 8 bits; images of 16 bits are disturbed on their own sc
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import zlib
@@ -65,14 +66,23 @@ class Disturbance:
     apply: Callable[[Pixels, float, np.random.Generator], Pixels]
 
     def __call__(self, frame: Frame, seed: int = 0) -> Frame:
-        """`frame` with a disturbed image, rounded and cut to its range; the same one for the same seed and image."""
-        rng = np.random.default_rng([seed, frame.frame, zlib.crc32(self.name.encode())])
-        full = float(np.iinfo(frame.image.dtype).max)
-        pixels = frame.image * np.float32(255.0 / full)
-        disturbed = self.apply(pixels, black_level(pixels), rng) * np.float32(full / 255.0)
+        """`frame` with a disturbed image, rounded and cut to its range; the same one for the same seed and image.
+
+        So is the image before that it brings along; all else stays.
+        """
+        draws = [seed, frame.frame, zlib.crc32(self.name.encode())]
+        earlier = frame.earlier
+        if earlier is not None:
+            earlier = dataclasses.replace(earlier, image=self._disturbed(earlier.image, [*draws, 1]))
+        return dataclasses.replace(frame, image=self._disturbed(frame.image, draws), earlier=earlier)
+
+    def _disturbed(self, image: Image, draws: Sequence[int]) -> Image:
+        full = float(np.iinfo(image.dtype).max)
+        pixels = image * np.float32(255.0 / full)
+        random = np.random.default_rng(draws)
+        disturbed = self.apply(pixels, black_level(pixels), random) * np.float32(full / 255.0)
         np.rint(np.clip(disturbed, 0.0, np.float32(full), out=disturbed), out=disturbed)
-        image = cast("Image", disturbed.astype(frame.image.dtype))
-        return Frame(image, frame.timestamp_ns, frame.frame, frame.sequence, frame.path)
+        return cast("Image", disturbed.astype(image.dtype))
 
 
 def gain(factor: float) -> Disturbance:

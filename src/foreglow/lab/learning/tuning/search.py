@@ -13,7 +13,7 @@ from foreglow.checksums import check_as_written
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.lab.learning.annotation import Progress, existing_splits
-from foreglow.lab.learning.training_run import check_apart
+from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER, Parameters
 from foreglow.lab.learning.tuning.study import (
@@ -130,7 +130,7 @@ def tune(
 
     check_as_written(out, RESULTS)
     folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
-    check_apart([folders["train"]], [folder for name, folder in folders.items() if name != "train"], [])
+    check_apart([folders["train"]], [folder for name, folder in folders.items() if name != "train"])
     splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()
     storage = settings.storage or str(out / "study.journal")
     check_storage(storage)

@@ -17,11 +17,14 @@ from pydantic import BaseModel, Field
 from foreglow.checksums import CHECKSUMS, announce, check_unchanged, checksums_file, missing_files
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
+from foreglow.datasets.images import png
 from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
-from foreglow.lab.learning.kept_files import file_checksum
+from foreglow.lab.learning.apart import check_apart
+from foreglow.lab.learning.kept_files import file_checksum, state_of
+from foreglow.own_files import has_title, named_png
 from foreglow.own_folders import EXPORT, UNFINISHED_EXPORT, check_new
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
@@ -105,6 +108,8 @@ def export_yolo(
     wanted = existing_splits(data, splits)
     if not wanted:
         raise FileNotFoundError(f"{data}: expected one of the splits {', '.join(splits)}, found none")
+    learnt = [wanted["train"]] if "train" in wanted else []
+    check_apart(learnt, [path for path in wanted.values() if path not in learnt])
     is_annotated = preset_name is None and all(
         any((found / "labels" / "bounding_boxes").glob("*.json")) for found in wanted.values()
     )
@@ -123,7 +128,7 @@ def export_yolo(
         except Exception:
             shutil.rmtree(folder / UNFINISHED_EXPORT, ignore_errors=True)
             raise
-        for part in (EXPORT, "images", "labels", CHECKSUMS, DATA_NAME):
+        for part in (EXPORT, "labels", "images", CHECKSUMS, DATA_NAME):  # images say what both were made of
             _move(folder / UNFINISHED_EXPORT / part, folder / part)
         (folder / UNFINISHED_EXPORT).rmdir()
     return export
@@ -156,16 +161,15 @@ def _exported(
             (work / kind / name).mkdir(parents=True, exist_ok=True)
         for image_id in dataset.frame_ids:
             pair = f"images/{name}/{image_id:06d}.png", f"labels/{name}/{image_id:06d}.txt"
-            home = next((each for each in (work, folder) if _is_current(each, pair, dataset, image_id)), None)
+            state = _state(dataset, image_id)
+            home = next((each for each in (work, folder) if _is_current(each, pair, state)), None)
             if home is None:
                 home = work
                 frame = dataset.read(image_id)
                 boxes = positive_boxes(dataset, frame, proposer)
-                write_atomic(  # before the labels
-                    work / pair[0],
-                    cv2.imencode(".png", squashed(frame.image, settings.size_px, frame.path))[1].tobytes(),
-                )
+                image = png(squashed(frame.image, settings.size_px, frame.path))
                 write_atomic(work / pair[1], label_lines(boxes, frame.width_px, frame.height_px).encode())
+                write_atomic(work / pair[0], named_png(image, state))
             for part in pair:
                 is_known = home == folder and part in known
                 checksums[part] = known[part] if is_known else file_checksum(home / part)
@@ -189,13 +193,16 @@ def _move(path: Path, target: Path) -> None:
         path.replace(target)
 
 
-def _is_current(home: Path, pair: tuple[str, str], dataset: LabelledSource, image_id: int) -> bool:
-    """Whether an earlier call has exported an image, which has not changed since, nor have its labels."""
-    image_file, label_file = (home / part for part in pair)
+def _state(dataset: LabelledSource, image_id: int) -> str:
+    """What an image and its labels are exported from, as the title of the exported image."""
     labels = (dataset.root / "labels" / kind / f"{image_id:06d}.json" for kind in ("keypoints", "bounding_boxes"))
-    sources = [path for path in (dataset.image_path(image_id), *labels) if path.exists()]
-    are_there = image_file.exists() and label_file.exists()
-    return are_there and all(path.stat().st_mtime_ns <= label_file.stat().st_mtime_ns for path in sources)
+    return f"Foreglow: of {state_of((dataset.image_path(image_id), *labels))}"
+
+
+def _is_current(home: Path, pair: tuple[str, str], state: str) -> bool:
+    """Whether an earlier call has exported an image and its labels in this state; the image came last."""
+    image_file, label_file = (home / part for part in pair)
+    return image_file.is_file() and label_file.exists() and has_title(image_file, state)
 
 
 def read_export(folder: Path) -> ExportSettings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import time
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.checksums import check_unchanged
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.lab.evaluation import Predictions
@@ -39,11 +41,13 @@ class YoloSettings(Record):
     Attributes:
         boxes: The boxes that it is trained on, as in `ExportSettings`.
         export_size_px: Side of the squares that frames are scaled to; the library scales them to its own size.
+        data_sha256: Digest of the images and label files; empty for runs of an early version, which go on with any.
     """
 
     training: YoloConfig
     boxes: str
     export_size_px: int
+    data_sha256: str = ""
 
 
 class YoloResults(Record):
@@ -109,13 +113,19 @@ def train_yolo(
     backend.check(config)
     origin = {"data": str(data), f"{config.backend}_version": backend.version()} | provenance()
     exported, data_file = _exported(data, folder, config, preset_name, progress)
-    settings = YoloSettings(training=config, boxes=exported.boxes, export_size_px=exported.size_px)
+    settings = YoloSettings(
+        training=config,
+        boxes=exported.boxes,
+        export_size_px=exported.size_px,
+        data_sha256=_data_digest(data_file.parent),
+    )
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / CONFIG_NAME
     if path.exists():
         known = read_json(path, YoloSettings)
         check_claim(path, settings.training, known.training, "run")
-        check_claim(path, settings, known, "run")
+        unknown = {} if known.data_sha256 else {"data_sha256": settings.data_sha256}
+        check_claim(path, settings, known.model_copy(update=unknown), "run")
     else:
         write_atomic(path, (json.dumps(settings.model_dump() | origin, indent=1) + "\n").encode())
     if not (folder / RESULTS_NAME).exists() or not read_yolo_run(folder).weights.is_file():
@@ -130,6 +140,13 @@ def train_yolo(
         )
         write_atomic(folder / RESULTS_NAME, (results.model_dump_json(indent=1) + "\n").encode())
     return read_yolo_run(folder)
+
+
+def _data_digest(export: Path) -> str:
+    """SHA-256 of the checksums of all images and label files of an export that are trained on."""
+    found = sorted(check_unchanged(export).items())
+    learnt = [each for each in found if Path(each[0]).parent.name in ("train", "val")]
+    return hashlib.sha256(json.dumps(learnt).encode()).hexdigest()
 
 
 def _check_own(folder: Path) -> None:

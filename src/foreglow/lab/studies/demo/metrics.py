@@ -156,7 +156,7 @@ def tell_stories(
                 sight=sight,
                 confirmed_s=confirmed_s.get((sequence.id, times.vehicle_id), math.nan),
                 production_s=production_s,
-                duration_s=(len(sequence.image_ids) - 1) / dataset.rate_hz,
+                duration_s=dataset.time_s(max(sequence.image_ids)),
                 num_images_before=sum(before),
                 num_boxes_before=int((is_false & np.array(before)[matched.matches.image_of_box]).sum()),
                 seen={time_s: _moment(time_s, lit) for time_s, lit in sorted(lit_at, key=lambda seen: seen[1][1])},

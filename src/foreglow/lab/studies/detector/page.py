@@ -314,10 +314,17 @@ def _ms(value: float) -> str:
 
 
 def _comparison_lines(results: DetectorResults) -> list[str]:
+    def interval(found: dict[str, Any]) -> str:
+        if found["low"] is None:
+            return "no interval: a single drive"
+        return (
+            f"95 % of the resamples of {found['num_scenes']} drives: {found['low']:+.3f} to {found['high']:+.3f}; "
+            f"at least as good in {found['probability']:.1%}"
+        )
+
     return [
         f"{ROWS[found['row']].title} less {ROWS[found['other']].title}: {found['a'] - found['b']:+.3f} "
-        f"(95 % of the resamples of {found['num_scenes']} drives: {found['low']:+.3f} to {found['high']:+.3f}; "
-        f"at least as good in {found['probability']:.1%})"
+        f"({interval(found)})"
         for found in results.comparisons
     ] or ["No two rows to compare."]
 

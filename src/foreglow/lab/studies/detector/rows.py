@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from foreglow.checksums import CHECKSUMS
 from foreglow.classifier import OnnxClassifier
-from foreglow.config import ClassifierConfig, PipelineConfig, preset, read_config
+from foreglow.config import ClassifierConfig, PipelineConfig, preset
 from foreglow.datasets import SplitName, open_labelled, split_folder
-from foreglow.files import MAX_JSON_BYTES, file_digest, read_bytes, read_plain_json
+from foreglow.files import file_digest, read_plain_json
+from foreglow.lab.learning.training_run import CONFIG, training_configuration
 from foreglow.lab.studies.progress import Progress
 from foreglow.wording import shortened
 
@@ -170,8 +171,7 @@ def check_given(given: Mapping[str, Path]) -> None:
         file = _model_file(path, spec.kind)
         if spec.kind == "classifier":
             _check_network(file, OnnxClassifier(ClassifierConfig(model=file)).metadata, spec)
-            if path.is_dir():
-                _trained_configuration(path, spec)
+            _configuration(path, spec)
 
 
 def _check_network(file: Path, metadata: Mapping[str, str], spec: RowSpec) -> None:
@@ -220,13 +220,33 @@ def row_key(name: str, workspace: Workspace) -> str:
     parts: list[Any] = [_FORMAT, split_digest(split_folder(workspace.data, plan.split)), THRESHOLD]
     parts.append(spec.configuration.proposals.model_dump(mode="json"))
     if name in plan.given:
-        parts.append(file_digest(_model_file(plan.given[name], spec.kind)))
+        parts.append(given_digest(name, plan.given[name]))
     else:
         parts += [split_digest(split_folder(workspace.data, split)) for split in ("train", "val")]
         if spec.kind == "yolo":
             parts.append([plan.yolo_epochs, plan.yolo_image_size_px, plan.seed, spec.size])
         else:
             parts.append(_recipe(spec.recipe, plan).model_dump(mode="json"))
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def given_digest(name: str, given: Path) -> str:
+    """Digest of what decides what the given model of row `name` finds, wherever it lies.
+
+    Raises:
+        FileNotFoundError: If it is missing.
+        ValueError: If it is broken, or was trained on another preset's boxes.
+    """
+    spec = ROWS[name]
+    parts: list[Any] = [file_digest(_model_file(given, spec.kind))]
+    if spec.kind == "yolo":
+        from foreglow.lab.learning.yolo import read_yolo_run
+
+        run = read_yolo_run(given)
+        parts += [run.settings.model_dump(mode="json"), run.results.model_dump(mode="json", exclude={"seconds"})]
+    else:
+        used = _with_model(_configuration(given, spec), Path())
+        parts.append(used.model_dump(mode="json", include={"proposals", "classifier", "standing"}))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
@@ -243,22 +263,31 @@ def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, s
     spec = ROWS[name]
     given = workspace.plan.given.get(name)
     if given is None:
-        folder = workspace.out / "models" / name
-        _train(name, workspace, folder)
-    elif given.is_dir():
-        folder = given
-    else:
-        note = f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
-        return _with_model(spec.configuration, given), note
-    return _with_model(_trained_configuration(folder, spec), folder / "model.onnx"), _note(folder)
+        given = workspace.out / "models" / name
+        _train(name, workspace, given)
+    model = _model_file(given, spec.kind)
+    note = _note(given) if given.is_dir() else f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
+    return _with_model(_configuration(given, spec), model), note
 
 
-def _trained_configuration(folder: Path, spec: RowSpec) -> PipelineConfig:
-    """The configuration of the training in `folder`, on the boxes of the row."""
-    used = read_config(folder / "config.toml", spec.configuration)
-    if used.proposals.model_dump() != spec.configuration.proposals.model_dump():
-        raise ValueError(f"{folder / 'config.toml'}: proposals: expected those of {spec.title}")
-    return used
+def _configuration(given: Path, spec: RowSpec) -> PipelineConfig:
+    """That of the row, or for the folder of a training that of the training, which has the row's proposals.
+
+    Raises:
+        FileNotFoundError: If such a folder has none.
+        ValueError: If a model was trained on other boxes, as far as its training's folder tells.
+    """
+    wanted = spec.configuration
+    trained = training_configuration(_model_file(given, spec.kind), wanted)
+    if trained is None:
+        if given.is_dir():
+            raise FileNotFoundError(f"{given / CONFIG}: no such file, expected a finished training")
+        return wanted
+    if trained.proposals.model_dump() != wanted.proposals.model_dump():
+        raise ValueError(
+            f"{_model_file(given, spec.kind).with_name(CONFIG)}: proposals: expected those of {spec.title}"
+        )
+    return trained if given.is_dir() else wanted
 
 
 def yolo_run(name: str, workspace: Workspace) -> YoloRun:
@@ -295,17 +324,25 @@ def yolo_note(run: YoloRun) -> str:
     )
 
 
+_BESIDE_IMAGES = ("labels", "scenes.jsonl", "simulation")
+"""What belongs to a split beside its images."""
+
+
 def split_digest(split: Path) -> str:
-    """SHA-256 of what is in a split: its labels and images, wherever it lies."""
+    """SHA-256 of what is in a split, wherever it lies: images, labels, and what a simulator wrote beside them."""
     digest = hashlib.sha256()
     dataset = open_labelled(split)
-    for path in sorted((dataset.root / "labels").rglob("*.json")):
-        if path.name == CHECKSUMS:  # they say nothing new
-            continue
-        digest.update(str(path.relative_to(dataset.root)).encode() + b"\0" + read_bytes(path, MAX_JSON_BYTES))
-    for image_id in dataset.frame_ids:
-        path = dataset.image_path(image_id)
-        digest.update(f"{path.relative_to(dataset.root)} {file_digest(path)}\n".encode())
+    images = [dataset.image_path(image_id) for image_id in dataset.frame_ids]
+    earlier = (
+        path.with_name(before.file_name)
+        for image_id, path in zip(dataset.frame_ids, images, strict=True)
+        if (before := dataset.image(image_id).earlier) is not None
+    )
+    beside = (path for name in _BESIDE_IMAGES for path in [dataset.root / name, *(dataset.root / name).rglob("*")])
+    for path in (*images, *earlier, *sorted(beside)):
+        # Checksums say nothing new, and what is hidden is being written.
+        if path.is_file() and path.name != CHECKSUMS and not path.name.startswith("."):
+            digest.update(f"{path.relative_to(dataset.root)} {file_digest(path)}\n".encode())
     return digest.hexdigest()
 
 

@@ -32,6 +32,7 @@ from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
 from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.kept_files import file_checksum
 from foreglow.lab.studies.detector.rows import (
     COMPARISONS,
@@ -178,6 +179,8 @@ def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: Split
     known = _kept_row(path, _predictions_file(workspace.out, name), key)
     if known is not None:
         return known
+    if name not in workspace.plan.given and workspace.plan.split != "train":  # a network is trained here
+        check_apart([split_folder(workspace.data, "train")], [dataset.root])
     make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
     row = make(name, workspace, dataset, labels).model_copy(update={"key": key})
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -24,13 +24,13 @@ from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
 from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
+from foreglow.lab.studies.config_files import files_of
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone
 from foreglow.lab.studies.glare.scores import POLICY_ROWS, GlareResults, SensitivityPoint, score_glare
 from foreglow.lab.studies.glare.simulate import Drives, own_name, settings_of
 from foreglow.lab.studies.paper_chain import paper_chain
-from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 from foreglow.whole_files import together, write_atomic
@@ -207,9 +207,13 @@ def _check_rates(wanted: Sequence[NamedScene], config: PipelineConfig) -> None:
 
 
 class _Claimed(Record):
-    """What `plan.json` says: digests of the whole, of models and of scenes."""
+    """What `plan.json` says: digests of the whole, of models and other files of the configurations, and of scenes; and
+    which version drove them, with all commits of it that did.
+    """
 
     digest: str = ""
+    version: str = ""
+    commits: list[str | None] = Field(default_factory=list)
     models: dict[str, str] = Field(default_factory=dict)
     scenes: dict[str, str] = Field(default_factory=dict)
 
@@ -217,12 +221,19 @@ class _Claimed(Record):
 def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequence[NamedScene]) -> None:
     """Writes the plan to the folder, or checks that the plan that is there is the same, and so is what both drive."""
     about: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
-    models = (each.classifier.model for each in (config, *plan.others(config).values()))
-    files = {str(model): file_digest(model_path(model)) for model in models if model is not None}
+    named = (files_of(each) for each in (config, *plan.others(config).values()))
+    files = {name: file_digest(path) for found in named for name, path in found.items()}
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
-    file = folder / PLAN
+    file, made_with = folder / PLAN, provenance()
+    commits = [made_with["commit"]]
     if file.exists():
         known = read_json(file, _Claimed)
+        if known.version not in ("", made_with["version"]):
+            raise ValueError(
+                f"{file}: version: expected {known.version}, which drove the scenes here, got {made_with['version']}; "
+                "choose another folder"
+            )
+        commits = list(dict.fromkeys([*known.commits, *commits]))
         if known.digest != about["digest"]:
             raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
         for kind, digests, before in (("models", files, known.models), ("scenes", scenes, known.scenes)):
@@ -230,9 +241,9 @@ def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequen
             if other is not None:
                 raise ValueError(f"{file}: {kind}: expected {other} as it was here before; choose another folder")
             digests |= before
-    about |= {"models": files, "scenes": scenes}
+    about |= {"models": files, "scenes": scenes, "commits": commits}
     with together():
-        write_json_results(file, about | provenance(), indent=2)
+        write_json_results(file, about | made_with, indent=2)
         write_atomic(folder / CONFIG, config_to_toml(config).encode())
 
 

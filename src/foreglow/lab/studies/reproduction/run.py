@@ -10,6 +10,7 @@ import shlex
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from pydantic import RootModel
 from foreglow.datasets import SPLIT_NAMES, split_in
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import file_digest, read_plain_json, write_json_results
-from foreglow.lab.studies.detector.rows import check_given, split_digest
+from foreglow.lab.studies.config_files import files_of
+from foreglow.lab.studies.detector.rows import check_given, given_digest, split_digest
 from foreglow.lab.studies.progress import Progress
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
@@ -180,16 +182,18 @@ def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
 
 
 def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
-    """Digest of what decides an experiment's results: data, options, models; not the folder, which may be moved."""
+    """Digest of what decides an experiment's results: data, options, models, our version; not the folder, which may be
+    moved.
+    """
     words = EXPERIMENTS[name].command(plan, out / name)
-    parts = [data_digest, *(str(word).replace(str(out), "") for word in words)]
+    parts = [metadata.version("foreglow"), data_digest, *(str(word).replace(str(out), "") for word in words)]
     parts += [split_digest(split_in(word, "test")) for word in words if word in plan.straight]
     given = [word for word in words if isinstance(word, Path) and not word.is_relative_to(out / name)]
-    models = [model_path(path) for path in given]
+    parts += [given_digest(row, path) for row, path in plan.models.items() if path in given]
+    files = [model_path(path) for path in given if path not in plan.models.values()]
     if EXPERIMENTS[name].runs_pipeline:
         parts.append(plan.config.model_dump_json())
-        models += [] if plan.config.classifier.model is None else [model_path(plan.config.classifier.model)]
-    files = [path / "model.onnx" if path.is_dir() else path for path in models]
+        files += files_of(plan.config).values()
     parts += [file_digest(file) for file in files if file.is_file()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 

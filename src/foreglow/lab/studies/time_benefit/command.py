@@ -43,10 +43,10 @@ def command(
     check_each_once(folders, "--split")
     datasets = [open_labelled(folder) for folder in folders]
     for dataset in datasets:
-        if dataset.rate_hz < LEAST_RATE_HZ:
+        if dataset.mean_rate_hz < LEAST_RATE_HZ:
             raise ValueError(
                 f"{dataset.root}: rate_hz: expected at least {LEAST_RATE_HZ:g}, as below it five frames take longer "
-                f"than a human, got {dataset.rate_hz:g}"
+                f"than a human, got {dataset.mean_rate_hz:.3g} by the times of its images"
             )
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:

@@ -218,7 +218,7 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
 
 
 def _rates(results: TimeBenefitResults) -> str:
-    return " and ".join(f"{rate_hz:g} Hz" for rate_hz in dict.fromkeys(results.rates_hz))
+    return " and ".join(f"{rate_hz:.3g} Hz" for rate_hz in dict.fromkeys(results.rates_hz))
 
 
 def summary_lines(results: TimeBenefitResults) -> list[str]:

@@ -197,7 +197,7 @@ def run_experiment(
         ]
     return TimeBenefitResults(
         name=" and ".join(split.name for split in splits),
-        rates_hz=tuple(dataset.rate_hz for dataset in datasets),
+        rates_hz=tuple(dataset.mean_rate_hz for dataset in datasets),
         config=config,
         encounters=encounters,
         num_sequences=sum(split.num_sequences for split in splits),
@@ -274,7 +274,7 @@ def _run(
     boxes: dict[int, NDArray[np.float64]] = {}
     scores: dict[int, NDArray[np.float64]] = {}
     tracks: dict[str, dict[int, Tracks]] = {name: {} for name in trackers}
-    km = 0.0
+    km, period_s = 0.0, 1.0 / dataset.mean_rate_hz
     images = counted(dataset, "images", len(dataset), progress)
     for _, frames in itertools.groupby(images, key=lambda frame: frame.sequence):
         for tracker in trackers.values():
@@ -286,5 +286,5 @@ def _run(
             scores[frame.frame] = result.detections.scores.astype(np.float64)
             for name, tracker in trackers.items():
                 tracks[name][frame.frame] = tracker.update(frame, result.detections, result.ranges)
-            km += (math.nan if frame.motion is None else frame.motion.speed_mps) / dataset.rate_hz / 1000.0
+            km += (math.nan if frame.motion is None else frame.motion.speed_mps) * period_s / 1000.0
     return Predictions(boxes, scores), tracks, km
