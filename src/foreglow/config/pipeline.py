@@ -121,8 +121,9 @@ def read_config(path: Path | str, base: PipelineConfig | None = None) -> Pipelin
     merged: dict[str, Any] = (PRESETS["paper"] if base is None else base).model_dump()
     for section, fields in given.items():
         known = merged.get(section)
-        are_fields = isinstance(known, dict) and isinstance(fields, dict)
-        merged[section] = known | _valued(section, fields) if are_fields else fields
+        if isinstance(known, dict) and isinstance(fields, dict):
+            fields = known | _valued(section, fields)
+        merged[section] = fields
     return validated(PipelineConfig, merged, str(path))
 
 
