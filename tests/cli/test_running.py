@@ -124,6 +124,10 @@ def test_a_run_says_that_parts_of_its_recording_are_lost(tmp_path: Path, config:
     assert "any number of frames may be missing: parts of the file could not be read" in result.stdout.splitlines()
     summary = read_summary(out / "summary.json")
     assert summary.num_lost_parts == summary.num_skipped > 0
+    apart = tmp_path / "apart"
+    result = foreglow_command("run", path, "--out", apart, "--config", config, "--on-error", "skip", "--jobs", 2)
+    assert "any number of frames may be missing: parts of the file could not be read" in result.stdout.splitlines()
+    assert read_summary(apart / "summary.json").num_lost_parts == summary.num_lost_parts
     lack = lack_of_run(out)
     assert lack is not None
     assert lack.startswith(f"{out}: frames may be missing from the run, its recording is damaged: {path}: byte ")

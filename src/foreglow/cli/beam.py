@@ -130,7 +130,14 @@ def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
     headlamps = read_headlamps(configuration.beam.headlamps)
     if headlamps.num_leds != NUM_LEDS:
         raise ValueError(f"--can: expected lamps of {NUM_LEDS} LEDs, {headlamps.name!r} have {headlamps.num_leds} each")
-    return CanBus(channel, ramp_s=configuration.beam.restore_s)
+    return CanBus(channel, ramp_s=_ramp_s(configuration.beam.restore_s))
+
+
+def _ramp_s(restore_s: float) -> float:
+    """In cars that take gaps alone, light returns as slowly as in our LEDs if they can."""
+    from foreglow.beam.messages import RAMPS_S
+
+    return min(restore_s, RAMPS_S[-1])
 
 
 def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:
@@ -165,12 +172,11 @@ def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> N
 
 
 def _can_sink(results: OutputFolder, kind: str, restore_s: float, *, is_compact: bool) -> ResultSink:
-    """The sink for the CAN log; in cars that accept gaps alone, light returns as slowly as in our LEDs if they can."""
-    from foreglow.beam.messages import RAMPS_S
+    """The sink for the CAN log."""
     from foreglow.runtime.can_output import CanLogSink
 
-    path, ramp_s = results.partial(f"beam.{kind}"), min(restore_s, RAMPS_S[-1])
-    return CanLogSink(path, suffix=f".{kind}", ramp_s=ramp_s, has_levels=not is_compact)
+    path = results.partial(f"beam.{kind}")
+    return CanLogSink(path, suffix=f".{kind}", ramp_s=_ramp_s(restore_s), has_levels=not is_compact)
 
 
 def _check_equipment(frames: FrameSource, source: Path, configuration: PipelineConfig, *, has_log: bool) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import FrameSource, part_names, part_of
+from foreglow.datasets import FrameSource, lost_parts, part_names, part_of
 from foreglow.parallel import Parent, Workers
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
@@ -74,6 +74,7 @@ class Part:
         name: Name of its files.
         tally: Counts and run-times of its frames.
         skipped: As `FrameSource.skipped`.
+        num_lost_parts: As in `RunSummary`.
         dispatch: As `Pipeline.dispatch`.
         processor: Name of the processor that it ran on.
         watcher: The copy of the run's, if it has one.
@@ -82,6 +83,7 @@ class Part:
     name: str
     tally: Tally
     skipped: tuple[str, ...]
+    num_lost_parts: int
     dispatch: str | None
     processor: str
     watcher: Watcher | None = None
@@ -142,6 +144,7 @@ def run_apart(
             is_complete=not interrupt.is_set,
             dispatch=_each_once([part.dispatch for part in runs]),
             processor=_each_once([part.processor for part in runs]),
+            num_lost_parts=sum(part.num_lost_parts for part in runs),
         )
         return folder.publish(config, summary)
 
@@ -163,7 +166,8 @@ def _run_part(
     step_through(frames, pipeline, sinks, tally, lambda: parent.is_stopped)
     for sink in sinks:
         sink.close()
-    return Part(name, tally, tuple(frames.skipped), pipeline.dispatch, processor_name(), own)
+    num_lost = len(lost_parts(frames))
+    return Part(name, tally, tuple(frames.skipped), num_lost, pipeline.dispatch, processor_name(), own)
 
 
 @functools.lru_cache(maxsize=1)
