@@ -137,16 +137,20 @@ def run_apart(
                     watcher.add(part.watcher)
             check_readable(name, tally, skipped)
             folder.join_parts(parts, [part.name for part in runs])
-        summary = tally.summary(
-            name,
-            skipped,
-            config,
-            is_complete=not interrupt.is_set,
-            dispatch=_each_once([part.dispatch for part in runs]),
-            processor=_each_once([part.processor for part in runs]),
-            num_lost_parts=sum(part.num_lost_parts for part in runs),
-        )
-        return folder.publish(config, summary)
+            is_cut = interrupt.is_set
+            summary = tally.summary(
+                name,
+                skipped,
+                config,
+                is_complete=not is_cut,
+                dispatch=_each_once([part.dispatch for part in runs]),
+                processor=_each_once([part.processor for part in runs]),
+                num_lost_parts=sum(part.num_lost_parts for part in runs),
+            )
+            summary = folder.publish(config, summary)
+    if interrupt.is_set and not is_cut:  # too late to leave out a frame
+        raise KeyboardInterrupt
+    return summary
 
 
 def _each_once(names: Sequence[str | None]) -> str | None:
