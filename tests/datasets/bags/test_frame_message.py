@@ -90,12 +90,21 @@ def test_a_message_of_an_earlier_recording() -> None:
         "road": road,
     }
     frame = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
-    later = {"is_damaged": False, "is_reported": None, "red_chroma": None}
+    later = {"is_damaged": False, "is_reported": None, "red_chroma": None, "earlier": None}
     written = json.loads(FrameMessage.of(frame).to_json())
     assert written.pop("camera") == camera | mount | {"mount_sigmas": [0.0] * 4}
     assert written == {name: value for name, value in (fields | later).items() if name != "camera"}
     assert frame.camera is not None
     assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
+
+
+@given(arrays(np.uint8, (5, 7)) | arrays(np.uint16, (5, 7)))
+def test_an_earlier_image(image: NDArray[np.uint8]) -> None:
+    """Without it, a recording of single images gave other scores than its images."""
+    found = returned(Frame(np.zeros_like(image), 7, earlier=Frame(image, -3))).earlier
+    assert found is not None
+    assert (found.timestamp_ns, found.image.dtype) == (-3, image.dtype)
+    np.testing.assert_array_equal(found.image, image)
 
 
 @given(arrays(np.uint8, (24, 32)))

@@ -69,6 +69,14 @@ def test_a_time_that_is_hours_away_is_not_waited_for() -> None:
     assert max(early_ns) < 60 * 1e9
 
 
+def test_after_a_clock_was_set_back_frames_come_at_their_times() -> None:
+    """The replay's clock stayed ahead: all images were too old until the frames had come to the time before."""
+    frames = night_frames(6)
+    frames[3:] = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns - 60 * 10**9) for frame in frames[3:]]
+    paced = Paced(ListSource(frames))
+    assert max(paced.now_ns() - frame.timestamp_ns for frame in paced) < 30 * 10**9
+
+
 def test_a_folder_that_is_removed_meanwhile_ends_early(tmp_path: Path) -> None:
     folder = tmp_path / "images"
     folder.mkdir()

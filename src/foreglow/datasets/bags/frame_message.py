@@ -7,7 +7,7 @@ import zlib
 from base64 import b64decode, b64encode
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -109,19 +109,51 @@ class _StoredChroma(Record):
 
 
 def _stored_chroma(chroma: Chroma) -> _StoredChroma:
-    rows = zlib.compress(chroma.tobytes(), level=1)
-    return _StoredChroma(width=chroma.shape[1], height=chroma.shape[0], zlib=b64encode(rows).decode())
+    return _StoredChroma(width=chroma.shape[1], height=chroma.shape[0], zlib=_packed(chroma))
 
 
 def _chroma(stored: _StoredChroma) -> Chroma:
-    size = stored.height * stored.width
+    return np.frombuffer(_unpacked(stored.zlib, stored.height, stored.width), np.uint8).reshape(stored.height, -1)
+
+
+class _StoredEarlier(Record):
+    timestamp_ns: int
+    width: Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
+    height: Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
+    bits: Literal[8, 16]
+    zlib: str  # as above; little-endian
+
+
+def _stored_earlier(earlier: Frame) -> _StoredEarlier:
+    image = earlier.image
+    return _StoredEarlier(
+        timestamp_ns=earlier.timestamp_ns,
+        width=earlier.width_px,
+        height=earlier.height_px,
+        bits=8 if image.dtype == np.uint8 else 16,
+        zlib=_packed(image.astype(image.dtype.newbyteorder("<"), copy=False)),
+    )
+
+
+def _earlier(stored: _StoredEarlier) -> Frame:
+    values = _unpacked(stored.zlib, stored.height, stored.width * stored.bits // 8)
+    image = np.frombuffer(values, f"<u{stored.bits // 8}").reshape(stored.height, -1)
+    return Frame(image.astype(image.dtype.newbyteorder("="), copy=False), stored.timestamp_ns)
+
+
+def _packed(rows: Image) -> str:
+    return b64encode(zlib.compress(rows.tobytes(), level=1)).decode()
+
+
+def _unpacked(text: str, num_rows: int, row_bytes: int) -> bytes:
+    size = num_rows * row_bytes
     try:
-        values = zlib.decompressobj().decompress(b64decode(stored.zlib, validate=True), max_length=size)
+        values = zlib.decompressobj().decompress(b64decode(text, validate=True), max_length=size)
     except (ValueError, zlib.error) as error:
         raise ValueError(f"zlib: expected compressed rows in base 64, cannot be read: {error}") from None
     if len(values) != size:
-        raise ValueError(f"zlib: expected {stored.height} rows of {stored.width} bytes, got {len(values)} bytes")
-    return np.frombuffer(values, np.uint8).reshape(stored.height, stored.width)
+        raise ValueError(f"zlib: expected {num_rows} rows of {row_bytes} bytes, got {len(values)} bytes")
+    return values
 
 
 def _threes(points: Floats) -> tuple[_Three, ...]:
@@ -143,12 +175,13 @@ class FrameMessage:
     is_damaged: bool = False  # older recordings have neither this
     is_reported: bool | None = None  # nor this
     red_chroma: Annotated[Chroma, StoredAs(_StoredChroma, _chroma, _stored_chroma)] | None = None  # nor this
+    earlier: Annotated[Frame, StoredAs(_StoredEarlier, _earlier, _stored_earlier)] | None = None  # nor this
 
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
         car = frame.camera, frame.motion, frame.road
-        source = frame.is_damaged, frame.is_reported, frame.red_chroma
+        source = frame.is_damaged, frame.is_reported, frame.red_chroma, frame.earlier
         return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, *source)
 
     def to_json(self) -> bytes:
@@ -160,7 +193,7 @@ class FrameMessage:
         """The frame with its image.
 
         Raises:
-            ValueError: If the camera or the chroma is for images of another size.
+            ValueError: If the camera, the chroma or the earlier image is for images of another size.
         """
         return Frame(
             image,
@@ -174,4 +207,5 @@ class FrameMessage:
             is_damaged=self.is_damaged,
             is_reported=self.is_reported,
             red_chroma=self.red_chroma,
+            earlier=self.earlier,
         )
