@@ -79,8 +79,9 @@ def live(
 ) -> None:
     """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
     from foreglow.runtime.live import ClosedLoop
-    from foreglow.runtime.live.cameras import CameraOptions, without_password
+    from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live, options_of
+    from foreglow.wording import without_password
 
     given = {
         "--size": capture.size is not None,

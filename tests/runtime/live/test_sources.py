@@ -202,6 +202,22 @@ def test_a_password_is_in_no_name(monkeypatch: pytest.MonkeyPatch, address: str)
     assert asked == [address]
 
 
+@pytest.mark.parametrize(
+    ("address", "name"),
+    [
+        ("rtsp://h:554/user=admin&password=secret&channel=1", "rtsp://h:554/user=admin&password=***&channel=1"),
+        ("srt://h:9?mode=caller&passphrase=secret", "srt://h:9?mode=caller&passphrase=***"),
+        (
+            "gstreamer:rtspsrc location=rtsp://u:secret@h user-pw=secret ! appsink",
+            "gstreamer:rtspsrc location=rtsp://u:***@h user-pw=*** ! appsink",
+        ),
+        ("rtsp://h/compass=1?width=640", "rtsp://h/compass=1?width=640"),
+    ],
+)
+def test_a_password_is_in_no_name_wherever_it_stands(address: str, name: str) -> None:
+    assert open_live(address, CameraOptions()).name == name
+
+
 def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:
     next(iter(open_live("camera:/dev/video2", CameraOptions())))
     next(iter(open_live("gstreamer:videotestsrc ! appsink", CameraOptions())))
