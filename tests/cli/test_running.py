@@ -10,17 +10,18 @@ import shutil
 from pathlib import Path
 
 import av
+import numpy as np
 import pytest
 
 import foreglow
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.inputs import named_by
-from foreglow.runs.recorded_run import source_of_run
+from foreglow.runs.recorded_run import open_run, read_frames, read_run, source_of_run
 from foreglow.runs.summary_file import lack_of_run, read_summary
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
-from tests.datasets.bags.bags import images, make_mcap
+from tests.datasets.bags.bags import OTHER_TOPIC, images, make_mcap
 from tests.datasets.video.test_video_file import make_video
 from tests.shared_data import shared_file
 
@@ -135,6 +136,19 @@ def test_a_run_says_that_parts_of_its_recording_are_lost(tmp_path: Path, config:
     result = foreglow_command("run", path, "--out", again, "--config", config, "--on-error", "skip")
     assert "may be missing" not in result.stdout
     assert (read_summary(again / "summary.json").num_lost_parts, lack_of_run(again)) == (0, None)
+
+
+def test_the_topic_of_a_run_is_found_again(tmp_path: Path, config: Path) -> None:
+    """Two cameras that are triggered together have the same times: what was made from a run had the other's images."""
+    path, out = make_mcap(tmp_path / "drive.mcap", images(3), others=images(6)[3:]), tmp_path / "out"
+    result = foreglow_command("run", path, "--out", out, "--config", config, "--topic", OTHER_TOPIC)
+    assert result.exit_code == 0, result.output
+    assert read_summary(out / "summary.json").topic == OTHER_TOPIC
+    run = read_run(out)
+    shown = read_frames(run, run.sequences[""])
+    for found in (open_run(out), shown.values()):
+        for frame, image in zip(found, images(6)[3:], strict=True):
+            np.testing.assert_array_equal(frame.image, image)
 
 
 def test_a_source_whose_name_is_no_utf_8_is_found_again(tmp_path: Path, folder: Path, config: Path) -> None:

@@ -69,8 +69,10 @@ def beam(
             raise ValueError(f"--on-error: expected without a run: the frames that {source} has are taken, as they are")
         stepper, images, num_frames = _replay(source, configuration)
         origin = read_summary(source / "summary.json")
-        limit = min(num_frames, reading.limit or num_frames)
-        reading = dataclasses.replace(reading, limit=limit, on_error="skip" if origin.num_skipped else "mark")
+        if origin.topic is not None and reading.topic not in (None, origin.topic):
+            raise ValueError(f"--topic: expected {origin.topic}, that of {source}, or none, got {reading.topic}")
+        limit, on_error = min(num_frames, reading.limit or num_frames), "skip" if origin.num_skipped else "mark"
+        reading = dataclasses.replace(reading, topic=reading.topic or origin.topic, limit=limit, on_error=on_error)
         say_lack(source)
     else:
         stepper, images = Pipeline(configuration), source

@@ -37,7 +37,16 @@ from foreglow.datasets.pvdn.schema import (
     Weather,
 )
 from foreglow.datasets.source import FrameSource, OnError
-from foreglow.datasets.vehicle_data import Equipped, VehicleData, lost_parts, origin_of, part_names, part_of, unread_end
+from foreglow.datasets.vehicle_data import (
+    Equipped,
+    VehicleData,
+    lost_parts,
+    origin_of,
+    part_names,
+    part_of,
+    topic_of,
+    unread_end,
+)
 from foreglow.datasets.video import Video
 
 __all__ = [
@@ -78,6 +87,7 @@ __all__ = [
     "split_folder",
     "split_in",
     "to_grey",
+    "topic_of",
     "unread_end",
     "write_pvdn",
 ]

@@ -58,6 +58,7 @@ class FileSource:
 
     Attributes:
         origin: The file or folder, as it was given.
+        topic: Of a recording, the topic of its images; None of all else.
         skipped: A line for each part that the latest iteration left out so far.
         lost_parts: Those lines of `skipped` that are about a part of the file in which there may be any number of
             frames.
@@ -66,6 +67,7 @@ class FileSource:
     """
 
     origin: Path
+    topic: str | None = None
     skipped: list[str]
     lost_parts: list[str]
     unread_end: list[str]

@@ -168,6 +168,13 @@ def lost_parts(source: FrameSource) -> Sequence[str]:
     return source.lost_parts if isinstance(source, FileSource) else ()
 
 
+def topic_of(source: FrameSource) -> str | None:
+    """`FileSource.topic` of what `source` reads; None for sources that are no `FileSource`."""
+    if isinstance(source, Equipped):
+        return topic_of(source.source)
+    return source.topic if isinstance(source, FileSource) else None
+
+
 def unread_end(source: FrameSource) -> Sequence[str]:
     """`FileSource.unread_end` of what `source` reads; empty for sources that are no `FileSource`."""
     if isinstance(source, Equipped):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from foreglow.config import PipelineConfig, read_config
-from foreglow.datasets import LabelledSource, open_source
+from foreglow.datasets import FrameSource, LabelledSource, open_source
 from foreglow.datasets.source import also_left_out
 from foreglow.files import checked_path
 from foreglow.outputs import check_kinds, check_outputs, exists
@@ -247,7 +247,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
         ValueError: If they cannot be read, or other frames are there now.
     """
     wanted = {result.frame: result.timestamp_ns for result in results}
-    source = open_source(source_of_run(run.folder), on_error="mark")
+    source = open_run(run.folder)
     frames: dict[int, Frame] = {}
     if isinstance(source, LabelledSource):
         frames = {number: source.read(number) for number in sorted(wanted)}
@@ -293,6 +293,22 @@ def check_suggestions_of(run: Path, suggestions: Path) -> None:
     ours, other = (read_summary(folder / "summary.json") for folder in (run, home))
     if other.source_digest is None or other.source_digest != ours.source_digest:
         raise ValueError(f"{suggestions}: expected frames of {run}, got those of another run, on {other.source}")
+
+
+def open_run(run: Path, place: Path | None = None) -> FrameSource:
+    """The frames of the run in the folder `run`, on its topic; damaged ones are marked, or left out.
+
+    Args:
+        run: The folder.
+        place: Where the frames are; None for where the run found them.
+
+    Raises:
+        FileNotFoundError: As `source_of_run`.
+        ValueError: As `source_of_run`, or if they cannot be read.
+    """
+    summary = run / "summary.json"
+    topic = read_summary(summary).topic if summary.is_file() else None
+    return open_source(place or source_of_run(run), on_error="mark", topic=topic)
 
 
 def source_of_run(run: Path) -> Path:

@@ -56,6 +56,7 @@ class RunSummary(_Strict):
     Attributes:
         source: Where the frames came from: an absolute path, or what the user gave.
         source_digest: As `origin_digest` of that path; None where there is no file, and in folders of earlier versions.
+        topic: Of a recording, the topic that the frames were on; None elsewhere, and in folders of earlier versions.
         is_complete: False if the run, or the one whose results it takes, was interrupted; the results until then are
             kept.
         is_classified: Whether a model scored the proposals.
@@ -86,6 +87,7 @@ class RunSummary(_Strict):
 
     source: str
     source_digest: str | None = None
+    topic: str | None = None
     is_complete: bool
     is_classified: bool
     num_frames: Count

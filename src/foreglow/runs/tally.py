@@ -111,6 +111,7 @@ class Tally:
         dispatch: str | None,
         processor: str | None = None,
         num_lost_parts: int = 0,
+        topic: str | None = None,
     ) -> RunSummary:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
@@ -122,6 +123,7 @@ class Tally:
             dispatch: As `Pipeline.dispatch`.
             processor: Name of the processor that it ran on; None for that of this machine.
             num_lost_parts: As in `RunSummary`.
+            topic: As in `RunSummary`.
         """
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
@@ -131,6 +133,7 @@ class Tally:
         return RunSummary(
             source=name,
             source_digest=origin_digest(Path(name)),
+            topic=topic,
             is_complete=is_complete,
             is_classified=is_classified,
             num_frames=self.num_frames,

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Protocol, Self
 
 from foreglow.config import PipelineConfig
-from foreglow.datasets import FrameSource, lost_parts, part_names, part_of
+from foreglow.datasets import FrameSource, lost_parts, part_names, part_of, topic_of
 from foreglow.parallel import Parent, Workers
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
@@ -146,6 +146,7 @@ def run_apart(
                 dispatch=_each_once([part.dispatch for part in runs]),
                 processor=_each_once([part.processor for part in runs]),
                 num_lost_parts=sum(part.num_lost_parts for part in runs),
+                topic=topic_of(source),
             )
             summary = folder.publish(config, summary)
     if interrupt.is_set and not is_cut:  # too late to leave out a frame

@@ -19,7 +19,7 @@ from typing import Protocol
 
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
-from foreglow.datasets import FrameSource, lost_parts
+from foreglow.datasets import FrameSource, lost_parts, topic_of
 from foreglow.datasets.source import also_left_out
 from foreglow.plugins import staying
 from foreglow.runs.folder import OutputFolder
@@ -159,6 +159,7 @@ def run(
                 is_complete=is_complete,
                 dispatch=pipeline.dispatch,
                 num_lost_parts=len(lost_parts(source)),
+                topic=topic_of(source),
             )
             if folder is not None:
                 summary = folder.publish(pipeline.config, summary)

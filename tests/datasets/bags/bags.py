@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from foreglow.types import Image
 
 HEIGHT, WIDTH = 64, 70
-TOPIC = "/camera/image_raw"
+TOPIC, OTHER_TOPIC = "/camera/image_raw", "/right/image_raw"
 START_NS = 1_700_000_000_123_456_789
 STEP_NS = 50_000_000
 KINDS = ("bag", "sqlite3", "mcap")
@@ -120,8 +120,18 @@ def make_bag(folder: Path, kind: str, pictures: Sequence[Picture], *, compressio
     return bag.path
 
 
-def make_mcap(path: Path, pictures: Sequence[Image], *, compression: str = "ZSTD", chunk_size: int = 1) -> Path:
-    """Foxglove images in a file of the package mcap, 50 ms apart from 0 on; a chunk each, unless it shall be larger."""
+def make_mcap(
+    path: Path,
+    pictures: Sequence[Image],
+    *,
+    compression: str = "ZSTD",
+    chunk_size: int = 1,
+    others: Sequence[Image] = (),
+) -> Path:
+    """Foxglove images in a file of the package mcap, 50 ms apart from 0 on; a chunk each, unless it shall be larger.
+
+    On a second topic, `OTHER_TOPIC`, are `others` of the same times, if any.
+    """
     pytest.importorskip("mcap")
     messages = pytest.importorskip("foxglove.messages")
     from mcap.writer import CompressionType, Writer
@@ -131,8 +141,14 @@ def make_mcap(path: Path, pictures: Sequence[Image], *, compression: str = "ZSTD
         writer.start()
         schema = messages.RawImage.get_schema()
         number = writer.register_schema(schema.name, schema.encoding, schema.data)
-        channel = writer.register_channel(TOPIC, "protobuf", number)
-        for index, image in enumerate(pictures):
+        channels = [writer.register_channel(topic, "protobuf", number) for topic in (TOPIC, OTHER_TOPIC)]
+        sent = [
+            (index, channel)
+            for channel, each in zip(channels, (pictures, others), strict=True)
+            for index in range(len(each))
+        ]
+        for index, channel in sorted(sent):
+            image = (pictures, others)[channels.index(channel)][index]
             message = messages.RawImage(
                 timestamp=messages.Timestamp(sec=0, nsec=index * STEP_NS),
                 height=image.shape[0],

@@ -76,5 +76,13 @@ class KeptResults:
         if self.is_whole:
             return live
         run = live.run
-        kept = self._tally.summary(run.source, run.skipped, config, is_complete=False, dispatch=run.dispatch)
+        kept = self._tally.summary(
+            run.source,
+            run.skipped,
+            config,
+            is_complete=False,
+            dispatch=run.dispatch,
+            num_lost_parts=run.num_lost_parts,
+            topic=run.topic,
+        )
         return dataclasses.replace(live, run=kept)

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
-from foreglow.datasets import FrameSource, lost_parts, unread_end
+from foreglow.datasets import FrameSource, lost_parts, topic_of, unread_end
 from foreglow.runs.origin import origin_name
 from foreglow.runtime.live.watch import MAX_DELAY_NS
 from foreglow.types import BeamCommand, Frame
@@ -106,6 +106,11 @@ class Paced:
     def lost_parts(self) -> Sequence[str]:
         """Those of `skipped` that are about a part of the file in which there may be any number of frames."""
         return lost_parts(self._source)
+
+    @property
+    def topic(self) -> str | None:
+        """That of a recording; None elsewhere."""
+        return topic_of(self._source)
 
     @property
     def _wait_s(self) -> float:
