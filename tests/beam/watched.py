@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import cv2
@@ -13,6 +14,11 @@ from foreglow.types import Image
 
 def road_ahead() -> list[Image]:
     """The road ahead in the drive that ships, 480x320."""
+    return [image.copy() for image in _road_ahead()]
+
+
+@functools.cache
+def _road_ahead() -> list[Image]:
     return [frame.image[440:760, 400:880].copy() for frame in open_source(shipped_drive())]
 
 
