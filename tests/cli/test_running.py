@@ -21,7 +21,7 @@ from foreglow.runs.recorded_run import open_run, read_frames, read_run, source_o
 from foreglow.runs.summary_file import lack_of_run, read_summary
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
-from tests.datasets.bags.bags import OTHER_TOPIC, images, make_mcap
+from tests.datasets.bags.bags import OTHER_TOPIC, TOPIC, images, make_mcap
 from tests.datasets.video.test_video_file import make_video
 from tests.shared_data import shared_file
 
@@ -149,6 +149,10 @@ def test_the_topic_of_a_run_is_found_again(tmp_path: Path, config: Path) -> None
     for found in (open_run(out), shown.values()):
         for frame, image in zip(found, images(6)[3:], strict=True):
             np.testing.assert_array_equal(frame.image, image)
+    tracked = tmp_path / "tracked"
+    assert foreglow_command("run", path, "--out", tracked, "--topic", OTHER_TOPIC).exit_code == 0
+    line = complaint("beam", tracked, "--out", tmp_path / "beam", "--topic", TOPIC)
+    assert line == f"foreglow: --topic: expected {OTHER_TOPIC}, that of {tracked}, or none, got {TOPIC}\n"
 
 
 def test_a_source_whose_name_is_no_utf_8_is_found_again(tmp_path: Path, folder: Path, config: Path) -> None:
