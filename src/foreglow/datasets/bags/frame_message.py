@@ -7,9 +7,10 @@ import zlib
 from base64 import b64decode, b64encode
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma
@@ -141,7 +142,7 @@ def _earlier(stored: _StoredEarlier) -> Frame:
     return Frame(image.astype(image.dtype.newbyteorder("="), copy=False), stored.timestamp_ns)
 
 
-def _packed(rows: Image) -> str:
+def _packed(rows: NDArray[Any]) -> str:
     return b64encode(zlib.compress(rows.tobytes(), level=1)).decode()
 
 
@@ -180,9 +181,18 @@ class FrameMessage:
     @classmethod
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
-        car = frame.camera, frame.motion, frame.road
-        source = frame.is_damaged, frame.is_reported, frame.red_chroma, frame.earlier
-        return cls(frame.frame, frame.sequence, frame.timestamp_ns, *car, *source)
+        return cls(
+            frame.frame,
+            frame.sequence,
+            frame.timestamp_ns,
+            frame.camera,
+            frame.motion,
+            frame.road,
+            is_damaged=frame.is_damaged,
+            is_reported=frame.is_reported,
+            red_chroma=frame.red_chroma,
+            earlier=frame.earlier,
+        )
 
     def to_json(self) -> bytes:
         """The message as JSON."""
