@@ -119,8 +119,11 @@ class StreetMessage(FrozenModel):
 def road_from_message(message: StreetMessage) -> RoadAhead | None:
     """The road that the message describes, in the frame of a vehicle that follows the middle of the right lane.
 
-    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
+    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road, or more
+    remains of the first segment than it has, beyond its rounding: then the position is in another one.
     """
+    if message.remaining_length_m > message.segments[0].length_m + LENGTH_STEP_M:
+        return None
     points = points_from_message(message, LANE_WIDTH_M / 2)
     if len(points) < 2:
         return None
