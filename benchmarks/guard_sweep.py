@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from rich.table import Table
 
 from benchmarks.timing import CONSOLE, options, table, write_results
@@ -61,7 +61,7 @@ DIPPED = 0.7
 class Lamps(GuardedLamps, Protocol):
     """Lamps, and what they shine in a direction, of which the guard knows nothing."""
 
-    def intensities_cd(self, directions: ArrayLike, /) -> tuple[Floats, Floats]:
+    def intensities_cd(self, directions: Floats, /) -> tuple[Floats, Floats]:
         """Of the low beams, shape (P, 2), and of the LEDs at level 1, shape (P, 2, L)."""
         ...
 

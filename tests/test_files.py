@@ -9,6 +9,7 @@ import fcntl
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -34,7 +35,17 @@ from foreglow.files import (
     write_json_results,
 )
 from foreglow.lab.learning.kept_files import check_torch_file, file_checksum, image_state
-from foreglow.whole_files import MAX_LOCKS, atomic_path, make_folder, naming, open_atomic, together, write_atomic
+from foreglow.whole_files import (
+    MAX_LOCKS,
+    atomic_path,
+    make_folder,
+    naming,
+    open_atomic,
+    put,
+    together,
+    undisturbed,
+    write_atomic,
+)
 from tests.pipes import ENDLESS, soon
 
 
@@ -304,3 +315,26 @@ def test_a_library_that_opens_its_file_itself(tmp_path: Path) -> None:
         temporary.write_bytes(b"whole")
     assert path.read_bytes() == b"whole"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_interrupt_waits_until_files_are_there_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*given: Path) -> None:
+        signal.raise_signal(signal.SIGINT)
+        put(*given)
+
+    monkeypatch.setattr("foreglow.whole_files.put", interrupted)
+    with contextlib.suppress(KeyboardInterrupt), together():
+        for name in ("report", "figures"):
+            write_atomic(tmp_path / name, b"new")
+        assert not list(tmp_path.glob("[!.]*"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "report"]
+
+
+def test_a_signal_that_is_ignored_stays_so_in_a_block_that_is_undisturbed() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with undisturbed():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -68,7 +68,7 @@ ALLOWED: dict[str, set[str]] = {
     "own_folders": {"checksums", "own_files", "whole_files"},
     "outputs": {"own_folders", "files", "whole_files", "own_files", "datasets"},
     "inputs": {"files", "outputs", "own_folders"},
-    "command_line": {"files", "inputs", "folder_lock", "outputs", "own_folders", "own_files"},
+    "command_line": {"files", "inputs", "folder_lock", "outputs", "own_folders", "own_files", "wording"},
     "options": {
         "command_line",
         "config",

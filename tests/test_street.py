@@ -147,3 +147,11 @@ def test_a_vehicle_moves_on_along_the_road_of_a_message() -> None:
 
 def test_a_message_that_is_over_tells_no_road() -> None:
     assert road_from_message(StreetMessage(segments=(segment(),), remaining_length_m=0, error_class=2)) is None
+
+
+def test_a_position_before_its_segment_is_in_another_one() -> None:
+    """As where a number was given to another segment since: the road began at the one that was known."""
+    first = segment()
+    at_begin = StreetMessage(segments=(first,), remaining_length_m=int(first.length_m) + 2, error_class=0)
+    assert road_from_message(at_begin) is not None
+    assert road_from_message(at_begin.model_copy(update={"remaining_length_m": int(first.length_m) + 3})) is None

@@ -29,6 +29,7 @@ from foreglow.types import (
     TrackState,
     Vehicles,
 )
+from foreglow.types.beam import MAX_FAULTS
 
 BOXES = np.array([[0, 0, 4, 4], [2, 3, 9, 8]], np.int32)
 
@@ -442,3 +443,8 @@ def test_values_can_be_copied(copied: Callable[[Any], Any]) -> None:
 def test_a_frame_refuses_the_path_of_a_calibration() -> None:
     with pytest.raises(ValueError, match=r"Frame\.camera: expected a Camera, such as of .*, got str"):
         Frame(np.zeros((4, 4), np.uint8), 0, camera="camera.toml")  # type: ignore[arg-type]
+
+
+def test_low_beam_may_have_any_number_of_faults() -> None:
+    """Those of a policy and those of the loop may be too many for a command together."""
+    assert len(BeamCommand.low(0, 2, *(f"fault {number}" for number in range(150))).faults) == MAX_FAULTS

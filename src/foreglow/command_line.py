@@ -137,9 +137,11 @@ def refuse_unused(source: str, given: Mapping[str, bool]) -> None:
     Raises:
         ValueError: If there is one; the message names it.
     """
+    from foreglow.wording import without_password
+
     unused = ", ".join(name for name, is_given in given.items() if is_given)
     if unused:
-        raise ValueError(f"{unused}: expected with another kind of SOURCE: no effect on {source}")
+        raise ValueError(f"{unused}: expected with another kind of SOURCE: no effect on {without_password(source)}")
 
 
 def with_options(function: Callable[..., None]) -> Callable[..., None]:

@@ -119,12 +119,15 @@ class StreetMessage(FrozenModel):
 def road_from_message(message: StreetMessage, travelled_m: float = 0.0) -> RoadAhead | None:
     """The road that the message describes, in the frame of a vehicle that follows the middle of the right lane.
 
-    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road.
+    Messages have no cross slope: it is taken as 0. None if the message describes less than a metre of road, or more
+    remains of the first segment than it has, beyond its rounding: then the position is in another one.
 
     Args:
         message: The street message.
         travelled_m: How far the vehicle has driven along the road since.
     """
+    if message.remaining_length_m > message.segments[0].length_m + LENGTH_STEP_M:
+        return None
     points = points_from_message(message, LANE_WIDTH_M / 2, travelled_m)
     if len(points) < 2:
         return None

@@ -8,11 +8,12 @@ import fcntl
 import itertools
 import os
 import re
+import signal
 import threading
 from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
@@ -34,6 +35,10 @@ Identity: TypeAlias = tuple[int, ...] | None
 
 _FOUND: dict[Path, Identity] = {}
 """What was at each path that may be replaced, when that was found, until it is replaced."""
+
+
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, the signal that `kill` and job schedulers send, and that of a terminal that closes."""
 
 
 class RemadeWarning(UserWarning):
@@ -120,6 +125,28 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Has signals that end a program wait for the end of the `with` block, which is short: it is done whole.
+
+    Outside the main thread, where Python delivers no signals, it does nothing.
+    """
+    came: list[int] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        handlers = {number: signal.getsignal(number) for number in ENDINGS}
+    caught = {number: handler for number, handler in handlers.items() if handler not in (signal.SIG_IGN, None)}
+    for number in caught:
+        signal.signal(number, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in caught.items():
+            signal.signal(number, handler)
+        for number in dict.fromkeys(came):
+            signal.raise_signal(number)
+
+
+@contextlib.contextmanager
 def together() -> Iterator[None]:
     """Has all files that this thread writes atomically in the block appear at its end, or none of them after an error.
 
@@ -135,7 +162,8 @@ def together() -> Iterator[None]:
     token = _BLOCK.set(block)
     try:
         yield
-        block.publish()
+        with undisturbed():
+            block.publish()
     except BaseException:
         block.discard()
         raise

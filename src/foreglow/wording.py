@@ -32,6 +32,20 @@ def shortened(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+def without_password(address: str) -> str:
+    """The address of a live source as it may be shown and kept: who reads results need not get into the camera.
+
+    >>> without_password("rtsp://driver:secret@192.168.0.9:554/night")
+    'rtsp://driver:***@192.168.0.9:554/night'
+    >>> without_password("rtsp://192.168.0.9/user=driver&password=secret&channel=1")
+    'rtsp://192.168.0.9/user=driver&password=***&channel=1'
+    """
+    if "://" not in address and not address.startswith("gstreamer:"):  # a path, which may be called anything
+        return address
+    shown = re.sub(r"(://[^\s/?#@:]*):[^\s/?#]*@", r"\1:***@", address)
+    return re.sub(r"(?i)([?&;/\s](?:user-)?(?:pass\w*|pwd?|secret|token)=)[^\s&;#]*", r"\1***", shown)
+
+
 def csv_words(error: Exception) -> str:
     r"""What is wrong in a file that Python's `csv` cannot read, without its advice to programmers.
 

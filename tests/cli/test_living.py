@@ -17,12 +17,15 @@ from pathlib import Path
 
 import pytest
 
+from foreglow.cli.beam import lamp_bus
+from foreglow.config import preset
 from foreglow.datasets import shipped_drive
+from foreglow.photometry import NUM_LEDS
 from foreglow.runs.folder import ROOM_BYTES
 from foreglow.runs.recorded_run import read_run
 from foreglow.runs.summary_file import read_summary
 from foreglow.runtime.live import LiveFault, Paced
-from foreglow.types import Frame
+from foreglow.types import BeamCommand, Frame
 from tests.cli.commands import PNG, RESULTS, complaint, foreglow_command, names, num_lines
 from tests.cli.forked import Loaded
 from tests.datasets.bags.bags import images, make_mcap
@@ -186,6 +189,27 @@ def test_an_option_without_effect_is_an_error(source: str, option: str, value: o
 def test_an_option_without_effect_on_a_source_of_ros_2(command: str) -> None:
     assert "--loop: expected with another kind" in complaint("ros2", command, "camera:0", "--loop")
     assert "--rate: expected with another kind" in complaint("ros2", command, shipped_drive(), "--rate", 5)
+
+
+@pytest.mark.parametrize("option", ["--can-log", "--dbc", "--mapping", "--map", "--poses"])
+def test_a_file_without_effect_on_a_camera_of_ros_2(option: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    assert f"{option}: expected with another kind" in complaint("ros2", "source", "camera:0", option, tmp_path / "file")
+
+
+@pytest.mark.parametrize("option", ["--time-offset", "--pose-error"])
+def test_a_number_without_effect_on_a_camera_of_ros_2(option: str) -> None:
+    assert f"{option}: expected with another kind" in complaint("ros2", "source", "camera:0", option, 1)
+
+
+def test_lamps_that_take_gaps_brighten_as_slowly_as_they_can() -> None:
+    """A message has 3 s at most: with a slower policy, each command was an error of the bus."""
+    config = preset("foreglow").commanding(restore_s=10.0)
+    bus = lamp_bus("virtual:slow", config)
+    try:
+        bus.send(BeamCommand.low(0, NUM_LEDS))
+    finally:
+        bus.close()
 
 
 def test_numbers_without_effect_are_errors() -> None:
@@ -356,9 +380,8 @@ def test_recording_named_after_its_time(tmp_path: Path) -> None:
     (recording,) = tmp_path.iterdir()
     assert recording.name == f"drive_{time.strftime('%Y')}.mcap"
     before = recording.read_bytes()
-    assert "expected a file that does not overwrite SOURCE" in complaint(
-        "live", recording, "--speed", 0, "--record", named
-    )
+    assert foreglow_command("live", recording, "--speed", 0, "--record", named).exit_code == 0
+    assert names(tmp_path) == {recording.name, f"{recording.stem}_2.mcap"}  # by a clock that begins anew
     assert recording.read_bytes() == before
     again = foreglow_command("live", recording, "--speed", 0, "--out", tmp_path / "out")
     assert again.exit_code == 0, again.output

@@ -17,7 +17,7 @@ from foreglow.config import preset
 from foreglow.datasets import open_source, shipped_drive
 from foreglow.options import SourceOptions, VehicleOptions
 from foreglow.parallel import Local
-from foreglow.runs.recorded_run import open_source_of_run, read_frames, read_run
+from foreglow.runs.recorded_run import open_run, read_frames, read_run
 from foreglow.runs.summary_file import read_summary
 from foreglow.runtime import Opening, OutputFolder, run_apart
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
@@ -74,7 +74,7 @@ def test_a_run_knows_its_topic(tmp_path: Path) -> None:
     recorded = read_run(run)
     frames = read_frames(recorded, recorded.sequences[""])
     assert {int(frame.image.max()) for frame in frames.values()} == {40}
-    assert {int(frame.image.max()) for frame in open_source_of_run(run)} == {40}
+    assert {int(frame.image.max()) for frame in open_run(run)} == {40}
     options = ("--calibration", shipped_drive() / "simulation/S00001/camera.toml", "--out", tmp_path / "beam")
     said = complaint("beam", run, *options, "--topic", "/another")
     assert f"--topic: expected none, or {TOPIC} as in {run}, got /another" in said

@@ -13,16 +13,11 @@ import av
 import pytest
 
 import foreglow
-from foreglow.cli.shared_run import open_frames
-from foreglow.config import read_config
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.inputs import named_by
-from foreglow.options import SourceOptions, VehicleOptions
-from foreglow.parallel import Local
 from foreglow.runs.recorded_run import source_of_run
 from foreglow.runs.summary_file import lack_of_run, read_summary
-from foreglow.runtime import Opening, OutputFolder, run_apart
 from foreglow.types import EgoMotion
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.bags.bags import images, make_mcap
@@ -129,13 +124,13 @@ def test_a_run_says_that_parts_of_its_recording_are_lost(tmp_path: Path, config:
     assert "any number of frames may be missing: parts of the file could not be read" in result.stdout.splitlines()
     summary = read_summary(out / "summary.json")
     assert summary.num_lost_parts == summary.num_skipped > 0
+    apart = tmp_path / "apart"
+    result = foreglow_command("run", path, "--out", apart, "--config", config, "--on-error", "skip", "--jobs", 2)
+    assert "any number of frames may be missing: parts of the file could not be read" in result.stdout.splitlines()
+    assert read_summary(apart / "summary.json").num_lost_parts == summary.num_lost_parts
     lack = lack_of_run(out)
     assert lack is not None
     assert lack.startswith(f"{out}: frames may be missing from the run, its recording is damaged: {path}: byte ")
-    opening = Opening(open_frames, (path, SourceOptions(on_error="skip"), VehicleOptions()))
-    with OutputFolder(tmp_path / "apart") as folder:
-        run_apart(opening, read_config(config), folder, Local())
-    assert read_summary(tmp_path / "apart" / "summary.json").num_lost_parts == summary.num_lost_parts
     make_mcap(path, images(5))
     result = foreglow_command("run", path, "--out", again, "--config", config, "--on-error", "skip")
     assert "may be missing" not in result.stdout

@@ -14,6 +14,7 @@ import pytest
 from foreglow.config import read_config
 from foreglow.files import json_text
 from foreglow.pipeline import Pipeline, Stages
+from foreglow.runs.tally import Tally
 from foreglow.runtime import OutputFolder, RunSummary, run
 from foreglow.types import Frame, FrameResult
 from tests.linux import needs_full_disk
@@ -201,6 +202,32 @@ def test_interrupt_keeps_what_was_done(tmp_path: Path) -> None:
     assert sink.calls == ["write"] * 3 + ["close"]
     assert names(tmp_path) == {"frames.jsonl", "times.jsonl", "summary.json", "config.toml"}
     assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("moment", ["the summary is made", "results are replaced"])
+def test_an_interrupt_after_the_last_frame_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    """A run that had all its frames was discarded, or its results were left without a summary."""
+    run_into(tmp_path, ListSource(night_frames(2)))
+    with monkeypatch.context() as patch:
+        place: Any = Tally if moment == "the summary is made" else Path
+        name = "summary" if moment == "the summary is made" else "replace"
+        really = getattr(place, name)
+
+        def interrupted(*given: Any, **named: Any) -> Any:
+            done = really(*given, **named)
+            patch.setattr(place, name, really)
+            signal.raise_signal(signal.SIGINT)
+            return done
+
+        patch.setattr(place, name, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_into(tmp_path, ListSource(night_frames(3)))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["num_frames"], summary["is_complete"]) == (3, True)
+    assert names(tmp_path) == {"frames.jsonl", "times.jsonl", "summary.json", "config.toml"}
+    assert len(records(tmp_path)) == 3
 
 
 def test_second_interrupt_stops_at_once_and_leaves_nothing(tmp_path: Path) -> None:

@@ -57,6 +57,8 @@ class Lamp(Protocol):
 class Lamps(Protocol):
     """What the guard needs to know of the two lamps."""
 
+    def __hash__(self) -> int: ...
+
     @property
     def left(self) -> Lamp:
         """The left lamp."""

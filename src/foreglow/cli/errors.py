@@ -344,10 +344,12 @@ def _report(error: BaseException) -> str:
     """Writes what a developer needs to a file, and returns its path."""
     from importlib import metadata
 
+    from foreglow.wording import without_password
+
     try:
         lines = [
             f"foreglow {metadata.version('foreglow')}, Python {platform.python_version()}, {platform.platform()}",
-            f"command: {' '.join(sys.argv)[:10_000]}",
+            f"command: {' '.join(map(without_password, sys.argv))[:10_000]}",
             "".join(traceback.format_exception(error, limit=-60))[-100_000:],
         ]
         with tempfile.NamedTemporaryFile(

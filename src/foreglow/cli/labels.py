@@ -32,11 +32,10 @@ def export(
     frames: Annotated[Path | None, file("Only frames in this CSV, as `foreglow suggest` writes it.")] = None,
 ) -> None:
     """Write the labels of SOURCE, or a first guess, for an annotation tool."""
-    from foreglow.datasets import exchange, open_labelled, open_source
+    from foreglow.datasets import exchange, open_labelled
     from foreglow.lab.learning.suggestion import read_suggestions
     from foreglow.runs.first_guess import read_guess
-    from foreglow.runs.recorded_run import check_suggestions_of, doubt_about_source
-    from foreglow.runs.summary_file import read_summary
+    from foreglow.runs.recorded_run import check_suggestions_of, doubt_about_source, open_run
 
     exchange.check_target(out, name)
     if name == "cvat-video" and frames is not None:
@@ -49,7 +48,7 @@ def export(
         sequences = {image_id: dataset.sequence(image_id).directory for image_id in dataset.frame_ids}
         found = exchange.labels_of(dataset, None if frames is None else read_suggestions(frames, sequences))
     else:
-        frames_of_run = open_source(source, on_error="mark", topic=read_summary(run / "summary.json").topic)
+        frames_of_run = open_run(run, source)
         doubt = doubt_about_source(run, source)
         lines += [] if doubt is None else [doubt]
         if frames is not None:

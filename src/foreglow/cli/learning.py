@@ -286,6 +286,7 @@ def _check_boxes(model: Path, configuration: PipelineConfig) -> None:
     from foreglow.config import PRESETS
     from foreglow.lab.learning.training_run import CONFIG, training_configuration
 
+    known: PipelineConfig | None
     if str(model) in PRESETS:
         known, wanted = PRESETS[str(model)], f"--preset {model}"
     else:

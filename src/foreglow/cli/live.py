@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,8 +43,15 @@ SOURCE_HELP = (
 
 
 def _dated(pattern: Path | None) -> Path | None:
-    """The file of a pattern such as `drive_%Y.mcap`, before anything is checked: it may be one that is read."""
-    return None if pattern is None else Path(time.strftime(str(pattern)))
+    """The file of a pattern such as `drive_%Y.mcap`; a recording of that time stays, and the new one gets a number.
+
+    The clock of a computer without a battery begins anew with each start.
+    """
+    dated = None if pattern is None else Path(time.strftime(str(pattern)))
+    if dated is None or dated == pattern:
+        return dated
+    names = (dated.with_stem(f"{dated.stem}_{number}") for number in itertools.count(2))
+    return next(name for name in itertools.chain([dated], names) if not os.path.lexists(name))
 
 
 @app.command()
@@ -79,8 +88,9 @@ def live(
 ) -> None:
     """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
     from foreglow.runtime.live import ClosedLoop
-    from foreglow.runtime.live.cameras import CameraOptions, without_password
+    from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live, options_of
+    from foreglow.wording import without_password
 
     given = {
         "--size": capture.size is not None,

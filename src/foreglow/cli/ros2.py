@@ -18,6 +18,7 @@ from foreglow.cli.beam import lamp_bus
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.command_line import argument, flag, option, refuse_unused, with_options
 from foreglow.options import (
+    POSE_ERROR_M,
     CalibrationOption,
     CaptureOptions,
     LimitOption,
@@ -124,7 +125,12 @@ def _check_source(
             "--speed": speed != 1.0,
             "--loop": loop,
             "--can-log": vehicle.can_log is not None,
+            "--dbc": vehicle.dbc is not None,
+            "--mapping": vehicle.mapping is not None,
             "--map": vehicle.road_map is not None,
+            "--poses": vehicle.poses is not None,
+            "--time-offset": vehicle.time_offset != 0.0,
+            "--pose-error": vehicle.pose_error != POSE_ERROR_M,
         }
     refuse_unused(text, given)
 

@@ -13,6 +13,8 @@ import time
 from collections.abc import Iterator
 from types import FrameType
 
+from foreglow.whole_files import ENDINGS
+
 PATIENCE_S = 2.0
 """Further signals within this time mean the same wish: they don't disturb the tidying up after the first."""
 
@@ -21,9 +23,6 @@ AGAIN_S = 0.01
 
 INTERRUPTED = 130
 """Exit code of shells for a program that was interrupted."""
-
-ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Ctrl-C, the signal that `kill` and job schedulers send, and that of a terminal that closes."""
 
 
 @contextlib.contextmanager

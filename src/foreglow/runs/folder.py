@@ -19,7 +19,7 @@ from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
 from foreglow.runs.summary_file import LiveSummary, RunSummary
 from foreglow.runs.times_file import frame_to_times
-from foreglow.whole_files import naming, partial_path
+from foreglow.whole_files import naming, partial_path, undisturbed
 
 LINES = {"frames.jsonl": frame_to_line, "times.jsonl": frame_to_times}
 """The files that get a line for every frame, with the functions that make the line."""
@@ -149,14 +149,15 @@ class OutputFolder:
         self.write_text("config.toml", config_to_toml(config))
         for parts in self.path.glob(PARTS):  # of this run, and of runs that were killed
             shutil.rmtree(parts, ignore_errors=True)
-        (self.path / RESULT_NAMES[-1]).unlink(missing_ok=True)
-        for name in RESULT_NAMES:
-            partial = self._partials.get(name)
-            if partial is not None and partial.exists():
-                partial.replace(self.path / name)
-            else:
-                (self.path / name).unlink(missing_ok=True)
-        self._partials.clear()
+        with undisturbed():
+            (self.path / RESULT_NAMES[-1]).unlink(missing_ok=True)
+            for name in RESULT_NAMES:
+                partial = self._partials.get(name)
+                if partial is not None and partial.exists():
+                    partial.replace(self.path / name)
+                else:
+                    (self.path / name).unlink(missing_ok=True)
+            self._partials.clear()
         self._lock.release()
         return summary
 

@@ -248,7 +248,7 @@ def read_frames(run: RecordedRun, results: Iterable[FrameResult]) -> Mapping[int
         ValueError: If they cannot be read, or other frames are there now.
     """
     wanted = {result.frame: result.timestamp_ns for result in results}
-    source = open_source_of_run(run.folder)
+    source = open_run(run.folder)
     frames: dict[int, Frame] = {}
     if isinstance(source, LabelledSource):
         frames = {number: source.read(number) for number in sorted(wanted)}
@@ -297,14 +297,20 @@ def check_suggestions_of(run: Path, suggestions: Path) -> None:
         raise ValueError(f"{suggestions}: expected frames of {run}, got those of another run, on {other.source}")
 
 
-def open_source_of_run(run: Path) -> FrameSource:
-    """The frames that the run in the folder `run` was made from, and those that it left out for damage, marked.
+def open_run(run: Path, place: Path | None = None) -> FrameSource:
+    """The frames of the run in the folder `run`, on its topic; damaged ones are marked, or left out.
+
+    Args:
+        run: The folder.
+        place: Where the frames are; None for where the run found them.
 
     Raises:
         FileNotFoundError: As `source_of_run`.
         ValueError: As `source_of_run`, or if they cannot be read.
     """
-    return open_source(source_of_run(run), on_error="mark", topic=read_summary(run / "summary.json").topic)
+    summary = run / "summary.json"
+    topic = read_summary(summary).topic if summary.is_file() else None
+    return open_source(place or source_of_run(run), on_error="mark", topic=topic)
 
 
 def source_of_run(run: Path) -> Path:

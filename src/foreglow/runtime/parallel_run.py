@@ -137,17 +137,21 @@ def run_apart(
                     watcher.add(part.watcher)
             check_readable(name, tally, skipped)
             folder.join_parts(parts, [part.name for part in runs])
-        summary = tally.summary(
-            name,
-            skipped,
-            config,
-            is_complete=not interrupt.is_set,
-            dispatch=_each_once([part.dispatch for part in runs]),
-            processor=_each_once([part.processor for part in runs]),
-            num_lost_parts=sum(part.num_lost_parts for part in runs),
-            **how_read(source),
-        )
-        return folder.publish(config, summary)
+            is_cut = interrupt.is_set
+            summary = tally.summary(
+                name,
+                skipped,
+                config,
+                is_complete=not is_cut,
+                dispatch=_each_once([part.dispatch for part in runs]),
+                processor=_each_once([part.processor for part in runs]),
+                num_lost_parts=sum(part.num_lost_parts for part in runs),
+                **how_read(source),
+            )
+            summary = folder.publish(config, summary)
+    if interrupt.is_set and not is_cut:  # too late to leave out a frame
+        raise KeyboardInterrupt
+    return summary
 
 
 def _each_once(names: Sequence[str | None]) -> str | None:
@@ -167,8 +171,8 @@ def _run_part(
     step_through(frames, pipeline, sinks, tally, lambda: parent.is_stopped)
     for sink in sinks:
         sink.close()
-    skipped, num_lost_parts = tuple(frames.skipped), len(lost_parts(frames))
-    return Part(name, tally, skipped, num_lost_parts, pipeline.dispatch, processor_name(), own)
+    num_lost = len(lost_parts(frames))
+    return Part(name, tally, tuple(frames.skipped), num_lost, pipeline.dispatch, processor_name(), own)
 
 
 @functools.lru_cache(maxsize=1)

@@ -27,12 +27,10 @@ from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
+from foreglow.whole_files import ENDINGS
 
 PATIENCE_S = 2.0
 """Further signals within this time mean the same wish: they don't disturb the tidying up after the first."""
-
-INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Ctrl-C, the signal that `kill` and job schedulers send, and that of a terminal that closes."""
 
 
 class ResultSink(Protocol):
@@ -73,7 +71,7 @@ class Stepper(Protocol):
 class InterruptFlag:
     """In its `with` block a first Ctrl-C only sets a flag, so that the current frame is finished; a second one raises.
 
-    Any of `INTERRUPTS` counts as Ctrl-C; a second one raises if it is of the same kind, as the end of a session sends
+    Any of `ENDINGS` counts as Ctrl-C; a second one raises if it is of the same kind, as the end of a session sends
     several kinds at once, and comes later than `patience_s`. SIGHUP stays ignored under `nohup`. Outside the main
     thread, where Python delivers no signals, it does nothing.
     """
@@ -88,7 +86,7 @@ class InterruptFlag:
         self._is_main = threading.current_thread() is threading.main_thread()
         if self._is_main:
             is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-            numbers = [number for number in INTERRUPTS if number != signal.SIGHUP or not is_nohup]
+            numbers = [number for number in ENDINGS if number != signal.SIGHUP or not is_nohup]
             self._previous = {number: signal.signal(number, self._interrupt) for number in numbers}
         return self
 
@@ -152,18 +150,21 @@ def run(
                 )
             for sink in all_sinks:
                 sink.close()
-        is_complete = not interrupt.is_set and (origin is None or origin.is_complete)
-        summary = tally.summary(
-            name,
-            source.skipped,
-            pipeline.config,
-            is_complete=is_complete,
-            dispatch=pipeline.dispatch,
-            num_lost_parts=len(lost_parts(source)),
-            **how_read(source),
-        )
-        if folder is not None:
-            summary = folder.publish(pipeline.config, summary)
+            is_cut = interrupt.is_set
+            is_complete = not is_cut and (origin is None or origin.is_complete)
+            summary = tally.summary(
+                name,
+                source.skipped,
+                pipeline.config,
+                is_complete=is_complete,
+                dispatch=pipeline.dispatch,
+                num_lost_parts=len(lost_parts(source)),
+                **how_read(source),
+            )
+            if folder is not None:
+                summary = folder.publish(pipeline.config, summary)
+    if interrupt.is_set and not is_cut:  # too late to leave out a frame
+        raise KeyboardInterrupt
     return summary
 
 

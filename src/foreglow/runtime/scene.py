@@ -44,9 +44,9 @@ def tracks_in_view(camera: Camera, tracks: Tracks) -> Iterator[TrackInView]:
     rays = camera.rays(0.5 * (boxes[:, :2] + boxes[:, 2:]))
     for row in np.flatnonzero(np.isfinite(tracks.ranges_m)).tolist():
         range_m, sigma_m = float(tracks.ranges_m[row]), float(tracks.sigmas_m[row])
-        reach = np.array([range_m, max(0.0, range_m - sigma_m), range_m + sigma_m])
-        points = camera.vehicle_from_camera.to_outer(reach[:, None] * rays[row])
-        yield TrackInView(row, points[0], points[1:] if math.isfinite(sigma_m) else None)
+        reach_m = [max(0.0, range_m - sigma_m), range_m + sigma_m] if math.isfinite(sigma_m) else []
+        points = camera.vehicle_from_camera.to_outer(np.array([[range_m], *([each] for each in reach_m)]) * rays[row])
+        yield TrackInView(row, points[0], points[1:] if reach_m else None)
 
 
 def track_label(tracks: Tracks, index: int) -> str:

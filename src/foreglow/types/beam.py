@@ -102,8 +102,8 @@ class BeamCommand(Value):
 
     @classmethod
     def low(cls, timestamp_ns: int, num_leds: int, *faults: str) -> BeamCommand:
-        """Low beam, with the faults that it is commanded for."""
-        return cls(timestamp_ns, BeamMode.LOW, np.zeros((2, num_leds)), faults=faults)
+        """Low beam, with the faults that it is commanded for, the first `MAX_FAULTS` of them."""
+        return cls(timestamp_ns, BeamMode.LOW, np.zeros((2, num_leds)), faults=faults[:MAX_FAULTS])
 
 
 def _check_gaps(gaps_rad: NDArray[np.float64], ranges_m: NDArray[np.float64]) -> None:

@@ -70,25 +70,6 @@ def test_a_road(heights: list[float], half_width: float, bound: float) -> None:
     assert (found.half_width_m, found.error_bound_m) == (half_width, bound)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_an_earlier_image(dtype: type[np.uint8] | type[np.uint16]) -> None:
-    images = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (2, 64, 96), dtype=dtype)
-    frame = Frame(images[1], 500, 17, "S00001", earlier=Frame(images[0], 250, 17, "S00001"))
-    found = returned(frame).earlier
-    assert found is not None
-    assert (found.timestamp_ns, found.frame, found.sequence, found.image.dtype) == (250, 17, "S00001", np.dtype(dtype))
-    np.testing.assert_array_equal(found.image, images[0])
-    fields = json.loads(FrameMessage.of(frame).to_json())
-    for field, value, words in (
-        ("png", "aGFsZg==", "earlier: png: expected a PNG or a JPEG, got 68616c66"),
-        ("png", "?", "earlier: png: expected base 64, cannot be read"),
-        ("timestamp_ns", 500, "Frame.earlier: expected an image from before 500 ns, got one from 500 ns"),
-    ):
-        text = json.dumps(fields | {"earlier": fields["earlier"] | {field: value}})
-        with pytest.raises(ValueError, match=words):
-            parse_json(text, FrameMessage, "here").frame_of(frame.image, "there")
-
-
 def test_a_message_of_an_earlier_recording() -> None:
     """The names of the fields are those of 0.1.0."""
     camera = {"width": 64, "height": 48, "focal_px": [60.0, 60.0], "centre_px": [32.0, 24.0], "distortion": [0.0] * 5}
@@ -115,6 +96,15 @@ def test_a_message_of_an_earlier_recording() -> None:
     assert written == {name: value for name, value in (fields | later).items() if name != "camera"}
     assert frame.camera is not None
     assert (frame.camera.width_px, frame.frame, frame.sequence) == (64, 7, "S00001")
+
+
+@given(arrays(np.uint8, (5, 7)) | arrays(np.uint16, (5, 7)))
+def test_an_earlier_image(image: NDArray[np.uint8]) -> None:
+    """Without it, a recording of single images gave other scores than its images."""
+    found = returned(Frame(np.zeros_like(image), 7, earlier=Frame(image, -3))).earlier
+    assert found is not None
+    assert (found.timestamp_ns, found.image.dtype) == (-3, image.dtype)
+    np.testing.assert_array_equal(found.image, image)
 
 
 @given(arrays(np.uint8, (24, 32)))

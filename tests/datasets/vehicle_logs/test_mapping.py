@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import pytest
 
 from foreglow.datasets.vehicle_logs import CanDecoder, CanLog, read_can_log
-from foreglow.datasets.vehicle_logs.mapping import CurvatureMeaning
-from foreglow.street import curvature_code, curvature_from_code
+from foreglow.datasets.vehicle_logs.mapping import CanMapping, CurvatureMeaning
+from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
+from foreglow.street import NUM_SEGMENT_IDS, curvature_code, curvature_from_code
 
 can = pytest.importorskip("can")
 cantools = pytest.importorskip("cantools")
@@ -156,6 +158,13 @@ def test_slopes_of_a_number_that_comes_again_are_forgotten(tmp_path: Path) -> No
     assert before is not None
     assert after is not None
     assert (before.segments[0].slope, after.segments[0].slope) == (0.03, 0.0)
+
+
+def test_slopes_of_numbers_that_no_segment_has_are_not_kept() -> None:
+    frames = StreetFrames(CanMapping.model_validate(tomllib.loads(MAPPING)))
+    for number in range(1000):
+        frames.add_slope({"segment_id": number, "slope_percent": 3.0})
+    assert len(frames._slope_codes) == NUM_SEGMENT_IDS
 
 
 def test_motion_in_other_units(tmp_path: Path) -> None:

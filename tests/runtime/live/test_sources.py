@@ -70,6 +70,14 @@ def test_a_time_that_is_hours_away_is_not_waited_for() -> None:
     assert max(early_ns) < 60 * 1e9
 
 
+def test_after_a_clock_was_set_back_frames_come_at_their_times() -> None:
+    """The replay's clock stayed ahead: all images were too old until the frames had come to the time before."""
+    frames = night_frames(6)
+    frames[3:] = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns - 60 * 10**9) for frame in frames[3:]]
+    paced = Paced(ListSource(frames))
+    assert max(paced.now_ns() - frame.timestamp_ns for frame in paced) < 30 * 10**9
+
+
 def test_a_folder_that_is_removed_meanwhile_ends_early(tmp_path: Path) -> None:
     folder = tmp_path / "images"
     folder.mkdir()
@@ -193,6 +201,22 @@ def test_a_password_is_in_no_name(monkeypatch: pytest.MonkeyPatch, address: str)
         next(iter(camera))
     assert "secret" not in str(error.value)
     assert asked == [address]
+
+
+@pytest.mark.parametrize(
+    ("address", "name"),
+    [
+        ("rtsp://h:554/user=admin&password=secret&channel=1", "rtsp://h:554/user=admin&password=***&channel=1"),
+        ("srt://h:9?mode=caller&passphrase=secret", "srt://h:9?mode=caller&passphrase=***"),
+        (
+            "gstreamer:rtspsrc location=rtsp://u:secret@h user-pw=secret ! appsink",
+            "gstreamer:rtspsrc location=rtsp://u:***@h user-pw=*** ! appsink",
+        ),
+        ("rtsp://h/compass=1?width=640", "rtsp://h/compass=1?width=640"),
+    ],
+)
+def test_a_password_is_in_no_name_wherever_it_stands(address: str, name: str) -> None:
+    assert open_live(address, CameraOptions()).name == name
 
 
 def test_other_ways_to_name_a_camera(capture: list[FakeCapture]) -> None:

@@ -21,7 +21,7 @@ from foreglow.calibration import calibration_to_toml
 from foreglow.config import PipelineConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.pipeline import Pipeline
-from foreglow.types import BeamMode, Frame, FrameResult
+from foreglow.types import BeamMode, EgoMotion, Frame, FrameResult
 
 pytest.importorskip("rclpy")
 
@@ -95,7 +95,8 @@ def assert_same(answer: Answer, result: FrameResult) -> None:
 def test_the_network_makes_what_the_pipeline_makes(nodes: tuple[str, ...], frames: list[Frame]) -> None:
     config = patient_config()
     again = [dataclasses.replace(frame, sequence="other", motion=None, road=None) for frame in frames[:5]]
-    sent = [*frames, *again]
+    nose_up = EgoMotion(30.0, 0.0, 0.5)  # of no car: whoever knows the pitch takes the speed for unknown
+    sent = [*frames, *again, *(dataclasses.replace(frame, sequence="up", motion=nose_up) for frame in frames[5:10])]
     options = dict.fromkeys(nodes, WAITING) | {nodes[-1]: (*WAITING, *PATIENT)}
     with Network(config, nodes, options=options) as network:
         network.warm_up(frames[0])

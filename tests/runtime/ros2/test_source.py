@@ -39,6 +39,16 @@ def test_times_of_a_sequence_are_moved_as_one() -> None:
     assert times_ns[4:] == [150_000_000 + PAUSE_NS + 50_000_000 * k for k in range(3)]
 
 
+@pytest.mark.parametrize("jump_s", [-60, 7200])
+def test_a_clock_that_was_set_is_not_waited_for(jump_s: int) -> None:
+    """Frames came hours later, or all at once and too old, until their times were those of before."""
+    frames = night_frames(4)
+    frames[2:] = [dataclasses.replace(one, timestamp_ns=one.timestamp_ns + jump_s * 10**9) for one in frames[2:]]
+    times_ns = [one.header.timestamp_ns - NOW_NS for one in timed(frames, lambda: NOW_NS)]
+    step_ns = 50_000_000
+    assert times_ns == [PAUSE_NS, PAUSE_NS + step_ns, 2 * PAUSE_NS + step_ns, 2 * PAUSE_NS + 2 * step_ns]
+
+
 def test_quicker_means_nearer() -> None:
     due = list(timed(night_frames(3), lambda: 0, speed=2.0))
     assert [one.header.timestamp_ns - PAUSE_NS for one in due] == [0, 25_000_000, 50_000_000]

@@ -31,7 +31,7 @@ from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, STAMPED_AHEAD
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import read_beam
 from foreglow.runtime.ros2.source import Due, FramePublisher
-from foreglow.runtime.ros2.stages import PipelineNode, Setting
+from foreglow.runtime.ros2.stages import PipelineNode, ProposalNode, Setting
 from tests.linux import needs_processes
 
 pytestmark = [
@@ -98,6 +98,26 @@ def bench() -> Iterator[Bench]:
     finally:
         made.node.close()
         made.ros.destroy_node()
+        rclpy.shutdown()
+
+
+def test_what_stands_still_while_we_drive_is_found_by_our_speed(frame: Frame) -> None:
+    """Without it, a node takes its own way to tell whether we drive, and the network finds other boxes than a run."""
+    config = preset("foreglow").changed("standing", enabled=True)
+    node = ProposalNode(Setting(config))
+    try:
+        header = Header(node.clock_ns())
+        messages = dict(FramePublisher.messages(Due(frame, header)))
+        for topic in (topics.ATTITUDE, topics.TWIST, topics.IMAGE):
+            node._join.put(topic, header, messages[topic], time.monotonic_ns())
+        joined = node._join.take(time.monotonic_ns())
+        assert joined is not None
+        seen = node.read(joined).motion
+        assert seen is not None
+        assert frame.motion is not None
+        assert seen.speed_mps == frame.motion.speed_mps
+    finally:
+        node.close()
         rclpy.shutdown()
 
 

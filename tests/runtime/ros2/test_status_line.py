@@ -64,3 +64,12 @@ def test_a_node_that_starts_again_counts_from_there(ros: NoNode) -> None:
         report(ros, "beam", frames)
         text = line.text(float(frames == 20) + 1.0)
     assert text == "20 frames, 18.0 a second; no command yet"
+
+
+def test_what_others_report_does_no_harm(ros: NoNode) -> None:
+    """The network's topics are open to all: a number that is none ended the network, and names were kept for ever."""
+    line = StatusLine(["beam"])
+    for name, frames in (("beam", "many"), ("beam", "9" * 5000), *((f"node {k}", "1") for k in range(50))):
+        ros.callbacks["/diagnostics"](diagnostics(name, Header(0), (), {"frames": frames}))
+        assert line.text(0.0).startswith("0 frames, ")
+    assert list(line._reports) == ["beam"]

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import zlib
 from base64 import b64decode, b64encode
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from foreglow.datasets.images import MAX_SIDE_PX, Chroma, decode_image, png
+from foreglow.datasets.images import MAX_SIDE_PX, Chroma
 from foreglow.datasets.json_files import Record, StoredAs, adapter
 from foreglow.geometry import Camera, Floats, MountSigmas, Pose, check_distortion, check_mount
 from foreglow.types import EgoMotion, Frame, Image, RoadAhead
@@ -109,36 +110,51 @@ class _StoredChroma(Record):
 
 
 def _stored_chroma(chroma: Chroma) -> _StoredChroma:
-    rows = zlib.compress(chroma.tobytes(), level=1)
-    return _StoredChroma(width=chroma.shape[1], height=chroma.shape[0], zlib=b64encode(rows).decode())
+    return _StoredChroma(width=chroma.shape[1], height=chroma.shape[0], zlib=_packed(chroma))
 
 
 def _chroma(stored: _StoredChroma) -> Chroma:
-    size = stored.height * stored.width
-    try:
-        values = zlib.decompressobj().decompress(b64decode(stored.zlib, validate=True), max_length=size)
-    except (ValueError, zlib.error) as error:
-        raise ValueError(f"zlib: expected compressed rows in base 64, cannot be read: {error}") from None
-    if len(values) != size:
-        raise ValueError(f"zlib: expected {stored.height} rows of {stored.width} bytes, got {len(values)} bytes")
-    return np.frombuffer(values, np.uint8).reshape(stored.height, stored.width)
+    return np.frombuffer(_unpacked(stored.zlib, stored.height, stored.width), np.uint8).reshape(stored.height, -1)
 
 
 class _StoredEarlier(Record):
     timestamp_ns: int
-    png: str  # in base 64
+    width: Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
+    height: Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
+    bits: Literal[8, 16]
+    zlib: str  # as above; little-endian
 
 
 def _stored_earlier(earlier: Frame) -> _StoredEarlier:
-    return _StoredEarlier(timestamp_ns=earlier.timestamp_ns, png=b64encode(png(earlier.image)).decode())
+    image = earlier.image
+    return _StoredEarlier(
+        timestamp_ns=earlier.timestamp_ns,
+        width=earlier.width_px,
+        height=earlier.height_px,
+        bits=8 if image.dtype == np.uint8 else 16,
+        zlib=_packed(image.astype(image.dtype.newbyteorder("<"), copy=False)),
+    )
 
 
 def _earlier(stored: _StoredEarlier) -> Frame:
+    values = _unpacked(stored.zlib, stored.height, stored.width * stored.bits // 8)
+    image = np.frombuffer(values, f"<u{stored.bits // 8}").reshape(stored.height, -1)
+    return Frame(image.astype(image.dtype.newbyteorder("="), copy=False), stored.timestamp_ns)
+
+
+def _packed(rows: NDArray[Any]) -> str:
+    return b64encode(zlib.compress(rows.tobytes(), level=1)).decode()
+
+
+def _unpacked(text: str, num_rows: int, row_bytes: int) -> bytes:
+    size = num_rows * row_bytes
     try:
-        data = b64decode(stored.png, validate=True)
-    except ValueError as error:
-        raise ValueError(f"png: expected base 64, cannot be read: {error}") from None
-    return Frame(decode_image(data, "png"), stored.timestamp_ns)
+        values = zlib.decompressobj().decompress(b64decode(text, validate=True), max_length=size)
+    except (ValueError, zlib.error) as error:
+        raise ValueError(f"zlib: expected compressed rows in base 64, cannot be read: {error}") from None
+    if len(values) != size:
+        raise ValueError(f"zlib: expected {num_rows} rows of {row_bytes} bytes, got {len(values)} bytes")
+    return values
 
 
 def _threes(points: Floats) -> tuple[_Three, ...]:
@@ -166,12 +182,12 @@ class FrameMessage:
     def of(cls, frame: Frame) -> FrameMessage:
         """The message about `frame`."""
         return cls(
-            frame=frame.frame,
-            sequence=frame.sequence,
-            timestamp_ns=frame.timestamp_ns,
-            camera=frame.camera,
-            motion=frame.motion,
-            road=frame.road,
+            frame.frame,
+            frame.sequence,
+            frame.timestamp_ns,
+            frame.camera,
+            frame.motion,
+            frame.road,
             is_damaged=frame.is_damaged,
             is_reported=frame.is_reported,
             red_chroma=frame.red_chroma,
@@ -201,5 +217,5 @@ class FrameMessage:
             is_damaged=self.is_damaged,
             is_reported=self.is_reported,
             red_chroma=self.red_chroma,
-            earlier=None if self.earlier is None else replace(self.earlier, frame=self.frame, sequence=self.sequence),
+            earlier=self.earlier,
         )

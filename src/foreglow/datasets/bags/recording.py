@@ -170,6 +170,8 @@ class Recording(FileSource):
         num_frames: Images on the topic; None where the recording does not say.
     """
 
+    topic: str
+
     def __init__(self, path: Path | str, *, topic: str | None = None, on_error: OnError = "stop") -> None:
         """Opens the recording, finds the topic and closes it again.
 

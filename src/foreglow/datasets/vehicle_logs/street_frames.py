@@ -54,8 +54,10 @@ class StreetFrames:
         self._child_of[parent] = number
 
     def add_slope(self, values: Mapping[str, float]) -> None:
-        """Takes a frame of the section `slope`."""
-        self._slope_codes[round(values["segment_id"])] = _slope_code(values)
+        """Takes a frame of the section `slope`; ignores one of a number that no segment has."""
+        number = round(values["segment_id"])
+        if 1 <= number <= NUM_SEGMENT_IDS:
+            self._slope_codes[number] = _slope_code(values)
 
     def message(self, values: Mapping[str, float], time_ns: int) -> StreetMessage | None:
         """The message of a frame of the section `position` and the segments before it; None if it is incomplete."""

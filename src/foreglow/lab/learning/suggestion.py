@@ -13,7 +13,7 @@ import numpy as np
 from foreglow.datasets.json_files import read_lines
 from foreglow.files import MAX_TEXT_BYTES, read_bytes
 from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, nearest_profile
-from foreglow.runs.recorded_run import RecordedRun, open_source_of_run
+from foreglow.runs.recorded_run import RecordedRun, open_run
 from foreglow.types import FrameResult
 from foreglow.types.arrays import Boxes
 from foreglow.whole_files import together, write_atomic
@@ -117,7 +117,7 @@ def unlikeness(run: RecordedRun) -> Mapping[int, float]:
     """
     found: dict[int, float] = {}
     latest = 0.0
-    for index, frame in enumerate(open_source_of_run(run.folder)):
+    for index, frame in enumerate(open_run(run.folder)):
         if index >= run.summary.num_frames:
             break
         if index % LOOK_STEP == 0:

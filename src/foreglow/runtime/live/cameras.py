@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -20,6 +19,7 @@ from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chrom
 from foreglow.datasets.vehicle_data import equip
 from foreglow.datasets.video.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
 from foreglow.types import Frame, Image
+from foreglow.wording import without_password
 
 OPEN_S, READ_S = 5.0, 1.0
 """Longest time that a network stream may take to open, and to deliver its next packet."""
@@ -59,7 +59,7 @@ class CameraOptions:
 
 
 class LiveCamera(ABC):
-    """The base of live cameras: the clock, and frames that are numbered from 0 on.
+    """The base of live cameras: the clock, a name `without_password`, and frames that are numbered from 0 on.
 
     Iterating opens the camera; it is released when the iteration ends. A camera that ends or raises is lost, and is
     opened again by iterating again.
@@ -78,13 +78,13 @@ class LiveCamera(ABC):
         Raises:
             ValueError: If the car's data are those of a drive that is over, whose speed would pass for today's.
         """
+        self.name = without_password(name)
         of_a_drive = () if options.data is None else options.data.of_one_drive
         if of_a_drive:
             raise ValueError(
-                f"{name}: expected no {' or '.join(of_a_drive)} with a camera: it is of a drive that is over, and no "
+                f"{self.name}: expected no {' or '.join(of_a_drive)} with a camera: it is of a drive that is over, and no "
                 "word of what the car does now, which comes by --can-in"
             )
-        self.name = name
         self.rate_hz = options.rate_hz
         self._options = options
         self._number = 0
@@ -187,24 +187,12 @@ def open_stream(address: str, options: CameraOptions) -> StreamCamera:
     return StreamCamera(address, options)
 
 
-def without_password(address: str) -> str:
-    """An address as it may be shown and kept: who reads results need not get into the camera.
-
-    >>> without_password("rtsp://driver:secret@192.168.0.9:554/night")
-    'rtsp://driver:***@192.168.0.9:554/night'
-    """
-    return re.sub(r"(://[^/?#@:]*):[^/?#]*@", r"\1:***@", address, count=1)
-
-
 class StreamCamera(LiveCamera):
-    """A network stream, such as RTSP, through FFmpeg; its size and rate are its own.
-
-    Its name is its address `without_password`.
-    """
+    """A network stream, such as RTSP, through FFmpeg; its size and rate are its own."""
 
     def __init__(self, address: str, options: CameraOptions) -> None:
         """The stream at `address`, which is not opened yet."""
-        super().__init__(without_password(address), options)
+        super().__init__(address, options)
         self._address = address
 
     def __iter__(self) -> Iterator[Frame]:

@@ -195,14 +195,15 @@ class LiveLoop:
         return summary
 
     def _summary(self, pipeline: LivePipeline, *, is_complete: bool) -> LiveSummary:
+        replay = self._source if isinstance(self._source, Paced) else None
         run = self._tally.summary(
             self._source.name,
             self._source.skipped,
             pipeline.config,
             is_complete=is_complete,
             dispatch=pipeline.dispatch,
-            num_lost_parts=len(self._source.lost_parts) if isinstance(self._source, Paced) else 0,
-            **(self._source.how_read if isinstance(self._source, Paced) else {}),
+            num_lost_parts=len(replay.lost_parts) if replay is not None else 0,
+            **(replay.how_read if replay is not None else {}),
         )
         return LiveSummary(
             run=run,

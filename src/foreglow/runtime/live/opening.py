@@ -96,5 +96,7 @@ def _opened(text: str, options: CameraOptions) -> LiveSource | None:
 
 def _scheme(text: str) -> str | None:
     """The scheme in `SOURCES` of the source called `text`; None for a path."""
-    scheme = STREAM if STREAM in text else text.partition(":")[0]
-    return scheme if scheme in SOURCES else None
+    scheme, colon, rest = text.partition(":")
+    if colon and scheme in SOURCES and not rest.startswith("//"):  # also if there is an address in a pipeline
+        return scheme
+    return STREAM if STREAM in text else None

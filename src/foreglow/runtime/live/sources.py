@@ -10,6 +10,7 @@ from typing import Protocol
 
 from foreglow.datasets import FrameSource, how_read, lost_parts, unread_end
 from foreglow.runs.origin import origin_name
+from foreglow.runtime.live.watch import MAX_DELAY_NS
 from foreglow.types import BeamCommand, Frame
 
 START_S = 120.0
@@ -73,8 +74,8 @@ class ClosedLoop(ABC):
 class Paced:
     """Replays another source's frames at their own timestamps, or faster; the clock runs at the same speed.
 
-    A sequence begins one frame period after the previous one, and so do frames after a gap of more than `MAX_GAP_NS`.
-    At infinite speed each frame comes as soon as the
+    A sequence begins one frame period after the previous one, and so do frames after a gap of more than `MAX_GAP_NS`,
+    or behind which time has gone back by more than `MAX_DELAY_NS`. At infinite speed each frame comes as soon as the
     previous one was taken, and the clock stands still at the latest frame.
     """
 
@@ -93,7 +94,7 @@ class Paced:
         self.name, self.rate_hz, self.num_frames = origin_name(source), source.rate_hz, source.num_frames
         self.how_read = how_read(source)
         self.speed, self.is_lossless = speed, math.isinf(speed)
-        self._first_ns, self._start_ns = 0, time.monotonic_ns()
+        self._zero_ns = 0, time.monotonic_ns()  # the same moment by the frames' clock, and by the machine's
         if self.is_lossless:
             self.max_silence_s = START_S
 
@@ -114,9 +115,8 @@ class Paced:
 
     def now_ns(self) -> int:
         """The time of the frame at hand, plus the time since it came, at the replay's speed."""
-        if self.is_lossless:
-            return self._first_ns
-        return self._first_ns + round((time.monotonic_ns() - self._start_ns) * self.speed)
+        first_ns, start_ns = self._zero_ns
+        return first_ns if self.is_lossless else first_ns + round((time.monotonic_ns() - start_ns) * self.speed)
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames, at their time.
@@ -127,12 +127,14 @@ class Paced:
         """
         sequence, latest_ns = None, 0
         for frame in self._source:
-            has_gap, latest_ns = frame.timestamp_ns - latest_ns > MAX_GAP_NS, frame.timestamp_ns
-            if frame.sequence != sequence or has_gap or self.is_lossless:
+            has_jumped = not -MAX_DELAY_NS <= frame.timestamp_ns - latest_ns <= MAX_GAP_NS
+            latest_ns = frame.timestamp_ns
+            if frame.sequence != sequence or has_jumped or self.is_lossless:
                 if sequence is not None and not self.is_lossless:
                     time.sleep(self._wait_s)  # by then the previous frame has been processed
-                sequence, self._first_ns, self._start_ns = frame.sequence, frame.timestamp_ns, time.monotonic_ns()
-            wait_ns = (frame.timestamp_ns - self._first_ns) / self.speed - (time.monotonic_ns() - self._start_ns)
+                sequence, self._zero_ns = frame.sequence, (frame.timestamp_ns, time.monotonic_ns())
+            first_ns, start_ns = self._zero_ns
+            wait_ns = (frame.timestamp_ns - first_ns) / self.speed - (time.monotonic_ns() - start_ns)
             if wait_ns > 0:
                 time.sleep(wait_ns / 1e9)
             yield frame

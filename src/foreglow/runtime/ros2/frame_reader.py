@@ -51,7 +51,7 @@ class FrameReader:
             sequence=joined.header.sequence,
             path=topics.IMAGE,
             camera=None if self._calibration is not None else self._camera(messages),
-            motion=_motion(messages),
+            motion=motion_of(messages),
             road=None if road is None else read_road(road, topics.ROAD),
             is_damaged=damage is not None and read_damage(damage, topics.DAMAGE),
             is_reported=None if reported is None else read_reported(reported, topics.REPORTED),
@@ -76,7 +76,12 @@ class FrameReader:
         return self._known[1]
 
 
-def _motion(messages: Mapping[str, Any]) -> EgoMotion | None:
+def motion_of(messages: Mapping[str, Any]) -> EgoMotion | None:
+    """Our motion by the messages of a frame; None without one.
+
+    Raises:
+        ValueError: If a message cannot be used; the error names topic and field.
+    """
     twist = messages.get(topics.TWIST)
     if twist is None:
         return None

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 from foreglow.plugins import words_of
 from foreglow.runtime.live import LiveSource
+from foreglow.runtime.live.sources import MAX_GAP_NS
+from foreglow.runtime.live.watch import MAX_DELAY_NS
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.input_messages import (
@@ -80,7 +82,8 @@ def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float 
     """Each frame with a new timestamp, as if it were taken now.
 
     All timestamps of a sequence are shifted by the same amount, so that the intervals between frames, and with them all
-    results, stay the same. A sequence begins `PAUSE_NS` after the previous one, or after it is asked for.
+    results, stay the same. A sequence begins `PAUSE_NS` after the previous one, or after it is asked for; so do frames
+    after a gap of more than `MAX_GAP_NS`, or behind which time has gone back by more than `MAX_DELAY_NS`, as in `live`.
 
     Args:
         frames: The frames, in order of time within each sequence.
@@ -89,10 +92,12 @@ def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float 
     """
     latest_ns = clock_ns()
     for number, (_, sequence) in enumerate(itertools.groupby(frames, key=lambda frame: frame.sequence)):
-        first_ns: int | None = None
-        begin_ns = max(latest_ns, clock_ns()) + PAUSE_NS
+        zero_ns: tuple[int, int] | None = None  # the same moment by the frames' times, and by the network's
+        before_ns = 0
         for frame in sequence:
-            first_ns = frame.timestamp_ns if first_ns is None else first_ns
+            if zero_ns is None or not -MAX_DELAY_NS <= frame.timestamp_ns - before_ns <= MAX_GAP_NS:
+                zero_ns = frame.timestamp_ns, max(latest_ns, clock_ns()) + PAUSE_NS
+            (first_ns, begin_ns), before_ns = zero_ns, frame.timestamp_ns
             passed_ns = frame.timestamp_ns - first_ns
             latest_ns = begin_ns + (passed_ns if speed == 1.0 else round(passed_ns / speed))
             yield Due(frame, Header(latest_ns, sequence_name(frame.sequence, number)))

@@ -10,7 +10,7 @@ from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.pipeline import Pipeline, Stages, estimated, tracked
 from foreglow.runtime.can_output import CanBus
 from foreglow.runtime.ros2 import topics
-from foreglow.runtime.ros2.frame_reader import FrameReader
+from foreglow.runtime.ros2.frame_reader import FrameReader, motion_of
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.input_messages import read_image
 from foreglow.runtime.ros2.join import Joined
@@ -67,19 +67,26 @@ def needed(field: str, stage: Stage | None) -> Stage:
     return stage
 
 
+MOTION = (topics.TWIST, topics.ATTITUDE)
+"""What is read as one `EgoMotion`, in which a car that cannot move so is known by all of its parts."""
+
+
 def read_pixels(joined: Joined) -> Frame:
-    """The frame with its image alone: proposals and classification need nothing else."""
-    image = read_image(joined.messages[topics.IMAGE], topics.IMAGE)
-    return Frame(image, joined.header.timestamp_ns, sequence=joined.header.sequence, path=topics.IMAGE)
+    """The frame with its image, and our motion if that is among the messages: the first two stages need no more."""
+    image, header = read_image(joined.messages[topics.IMAGE], topics.IMAGE), joined.header
+    motion = motion_of(joined.messages)
+    return Frame(image, header.timestamp_ns, sequence=header.sequence, path=topics.IMAGE, motion=motion)
 
 
 class ProposalNode(FrameNode[Frame]):
     """Images to boxes that may hold light; the paper's proposal generation (PG)."""
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__("proposals", (topics.IMAGE,), ros_arguments=setting.ros_arguments)
         stages = Stages(setting.config)
         self._proposer, self._standing = stages.proposer, stages.standing
+        sampled = () if self._standing is None else MOTION
+        arguments, patience_s = setting.ros_arguments, setting.patience_s
+        super().__init__("proposals", (topics.IMAGE,), sampled, ros_arguments=arguments, patience_s=patience_s)
         self._output = self.publisher(topics.PROPOSALS)
 
     def reset(self) -> None:
@@ -88,7 +95,7 @@ class ProposalNode(FrameNode[Frame]):
             self._standing.reset()
 
     def read(self, joined: Joined) -> Frame:
-        """The image."""
+        """The image, and our motion where the second step needs it."""
         return read_pixels(joined)
 
     def step(self, header: Header, inputs: Frame, stopwatch: Stopwatch) -> None:
@@ -134,7 +141,7 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
         super().__init__(
             "distance",
             (topics.DETECTIONS, topics.IMAGE, *exact),
-            (*sampled, topics.TWIST, topics.ATTITUDE, topics.ROAD),
+            (*sampled, *MOTION, topics.ROAD),
             ros_arguments=setting.ros_arguments,
             patience_s=setting.patience_s,
         )
@@ -172,7 +179,7 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
         super().__init__(
             "tracking",
             (topics.RANGES, *exact),
-            (*sampled, topics.TWIST),
+            (*sampled, *MOTION),
             ros_arguments=setting.ros_arguments,
             patience_s=setting.patience_s,
         )
@@ -199,7 +206,7 @@ class TrackingNode(FrameNode[tuple[Frame, Detections, Ranges | None]]):
         self._output.publish(tracks_message(header, tracks))
 
 
-BEAM_SAMPLED = (topics.TWIST, topics.ROAD, topics.DAMAGE, topics.REPORTED)
+BEAM_SAMPLED = (*MOTION, topics.ROAD, topics.DAMAGE, topics.REPORTED)
 """What policy and guard go by, beside tracks, image and camera."""
 
 
@@ -262,7 +269,7 @@ class PipelineNode(CommandingNode[Frame]):
     """All stages in one node; publishes the same as the network of them."""
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__("pipeline", setting, (topics.IMAGE,), (*BEAM_SAMPLED, topics.ATTITUDE))
+        super().__init__("pipeline", setting, (topics.IMAGE,), BEAM_SAMPLED)
         self._pipeline = Pipeline(setting.config)
         self._proposals = self.publisher(topics.PROPOSALS)
         self._detections = self.publisher(topics.DETECTIONS)

@@ -19,6 +19,9 @@ PREFIX = "foreglow: "
 STALE_S = 3.0
 """A node that has not reported for so long is `silent`."""
 
+MAX_DIGITS = 20
+"""Of a number of frames: years of them have fewer."""
+
 
 class StatusLine:
     """Listens to the nodes' reports and to the beam."""
@@ -52,7 +55,7 @@ class StatusLine:
     def text(self, now_s: float) -> str:
         """The line, as of the steady clock's time `now_s`."""
         known = {name: values for name, (at_s, values) in self._reports.items() if now_s - at_s < STALE_S}
-        counts = {name: int(values.get("frames", 0)) for name, values in known.items()}
+        counts = {name: _count_of(values.get("frames", "0")) for name, values in known.items()}
         last = next((name for name in reversed(self._names) if name in counts), None)
         if last is not None:
             self._count(now_s, counts[last])
@@ -79,12 +82,18 @@ class StatusLine:
 
     def _report(self, message: Any) -> None:
         for status in message.status:
-            if status.name.startswith(PREFIX):
+            name = status.name.removeprefix(PREFIX)
+            if status.name.startswith(PREFIX) and name in self._names:  # anybody may report
                 values = {value.key: value.value for value in status.values}
-                self._reports[status.name.removeprefix(PREFIX)] = time.monotonic(), values
+                self._reports[name] = time.monotonic(), values
 
     def _command(self, message: Any) -> None:
         try:
             self._mode = read_beam(message, topics.BEAM)[1].mode.name.lower().replace("_", "-")
         except ValueError as error:
             self._mode = f"unreadable ({words_of(error)})"
+
+
+def _count_of(text: str) -> int:
+    """The number of frames in a report; 0 where somebody has sent another text."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < MAX_DIGITS else 0

@@ -43,18 +43,6 @@ def test_laws(disturbance: Disturbance) -> None:
     assert np.abs(wide.image / 257.0 - changed.image).max() < 2  # the same on its own scale
 
 
-@pytest.mark.parametrize("disturbance", DISTURBANCES, ids=name_of)
-def test_the_earlier_image_is_disturbed_alike(disturbance: Disturbance) -> None:
-    earlier = Frame(IMAGE[::-1].copy(), timestamp_ns=2, frame=9)
-    chroma = np.full((120, 320), 140, np.uint8)
-    changed = disturbance(Frame(IMAGE, timestamp_ns=5, frame=9, earlier=earlier, red_chroma=chroma))
-    assert changed.earlier is not None
-    assert changed.earlier.timestamp_ns == 2
-    assert np.array_equal(changed.earlier.image, earlier.image) == (disturbance is UNDISTURBED)
-    assert np.array_equal(changed.image, disturbance(FRAME).image)
-    assert changed.red_chroma is not None
-
-
 @pytest.mark.parametrize("disturbance", DISTURBED, ids=name_of)
 def test_each_changes_the_image(disturbance: Disturbance) -> None:
     assert not np.array_equal(disturbance(FRAME).image, FRAME.image)
@@ -132,5 +120,5 @@ def test_all_else_that_a_frame_has_stays(disturbance: Disturbance) -> None:
     assert (changed.earlier.timestamp_ns, changed.earlier.path) == (1, "before")
     assert np.array_equal(changed.earlier.image, before.image) == (disturbance is UNDISTURBED)
     assert np.array_equal(changed.image, disturbance(FRAME).image)
-    noises = [each.astype(int) for each in (changed.earlier.image, disturbance(before).image)]
-    assert np.array_equal(*noises) == (not disturbance.name.startswith(("noise", "haze", "rain"))), "noise of its own"
+    has_noise = disturbance.name.startswith(("noise", "haze", "rain"))
+    assert np.array_equal(changed.earlier.image, disturbance(before).image) != has_noise, "noise of its own"
