@@ -82,8 +82,8 @@ class LiveCamera(ABC):
         of_a_drive = () if options.data is None else options.data.of_one_drive
         if of_a_drive:
             raise ValueError(
-                f"{self.name}: expected no {' or '.join(of_a_drive)} with a camera: it is of a drive that is over, and no "
-                "word of what the car does now, which comes by --can-in"
+                f"{self.name}: expected no {' or '.join(of_a_drive)} with a camera: it is of a drive that is over, and "
+                "says nothing of what the car does now, which comes by --can-in"
             )
         self.rate_hz = options.rate_hz
         self._options = options
