@@ -71,6 +71,8 @@ class PipelineOptions:
         configuration = config.preset(self.preset or DEFAULT_PRESET)
         if self.config is not None:
             configuration = config.read_config(self.config, configuration)
+            if self.model is None:
+                _check_own_model(self.config, configuration.classifier.model)
         if self.model is not None:
             classifier = configuration.classifier.model_copy(update={"model": self.model})
             configuration = configuration.model_copy(update={"classifier": classifier})
@@ -85,6 +87,26 @@ class PipelineOptions:
             if self.config is None or raising(error) is not None or not _sets(self.config, str(error)):
                 raise
             raise ValueError(f"{self.config}: {error}") from error
+
+
+def _check_own_model(config: Path, model: Path | None) -> None:
+    """Checks that the file of a training names the model beside it: in a copied folder, it names the one it was copied
+    from, which may have been trained anew or be gone.
+
+    Raises:
+        ValueError: If there is another one beside it.
+    """
+    from foreglow.files import file_digest
+
+    own = config.with_name("model.onnx")
+    is_trainings = config.name == "config.toml" and own.is_file() and config.with_name("recipe.toml").is_file()
+    if not is_trainings or model is None or not model.is_absolute() or own.resolve() == model.resolve():
+        return
+    if not model.is_file() or file_digest(model) != file_digest(own):
+        raise ValueError(
+            f"{config}: classifier.model: expected the model beside it, as a training's folder has it, got {model}; was "
+            f"the folder copied? --model {own} takes that one"
+        )
 
 
 def _sets(config: Path, message: str) -> bool:
@@ -116,7 +138,9 @@ class SourceOptions:
 
     topic: TopicOption = None
     limit: LimitOption = None
-    on_error: Annotated[str, option("stop|skip|mark", "Stop at a bad frame, skip it, or keep it marked.")] = "stop"
+    on_error: Annotated[
+        str, option("stop|skip|mark", "Stop at a bad frame, skip it, or keep it marked, if it can be decoded.")
+    ] = "stop"
 
     def open(self, source: Path | str) -> FrameSource:
         """The frames of `source`."""

@@ -16,6 +16,7 @@ import foreglow
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.inputs import named_by
+from foreglow.models import model_path
 from foreglow.runs.recorded_run import source_of_run
 from foreglow.runs.summary_file import lack_of_run, read_summary
 from foreglow.types import EgoMotion
@@ -98,6 +99,22 @@ def test_preset_is_overridden_by_the_file(tmp_path: Path, folder: Path, config: 
     assert foreglow_command("run", folder, "--out", out, "--preset", "baseline", "--config", config).exit_code == 0
     used = foreglow.read_config(out / "config.toml").proposals
     assert (used.gap_px, used.kappa, used.backend) == (7, 0.5, "reference")
+
+
+def test_a_copied_training_runs_with_its_own_model(tmp_path: Path, folder: Path) -> None:
+    """Its configuration names the model that it was copied from, which may have been trained anew since."""
+    first, copy = tmp_path / "first", tmp_path / "copy"
+    first.mkdir()
+    shutil.copyfile(model_path(Path("foreglow")), first / "model.onnx")
+    (first / "recipe.toml").write_text("")
+    (first / "config.toml").write_text(f'[classifier]\nmodel = "{first / "model.onnx"}"\n')
+    shutil.copytree(first, copy)
+    run = ("run", folder, "--out", tmp_path / "out", "--limit", 1, "--config", copy / "config.toml")
+    assert foreglow_command(*run).exit_code == 0
+    (first / "model.onnx").write_bytes(b"another")
+    line = complaint(*run)
+    assert "config.toml: classifier.model: expected the model beside it, as a training's folder has it, got" in line
+    assert foreglow_command(*run, "--model", copy / "model.onnx").exit_code == 0
 
 
 def test_bad_image_among_many(tmp_path: Path, folder: Path, config: Path) -> None:

@@ -72,6 +72,15 @@ def test_on_the_earth_with_all_angles(tmp_path: Path) -> None:
     assert np.degrees(rotation_angles_rad(at.rotation)) == pytest.approx([90.0, 2.0, 1.0])
 
 
+@pytest.mark.parametrize("given", ["height_m", "pitch_deg,roll_deg", "height_m,pitch_deg"])
+def test_heights_and_angles_go_together(tmp_path: Path, given: str) -> None:
+    """What there was of them changed nothing, and nobody was told."""
+    more = ",1" * len(given.split(","))
+    text = f"timestamp_s,lat_deg,lon_deg,heading_deg,{given}\n0,48,9,0{more}\n1,48,9,0{more}\n"
+    with pytest.raises(ValueError, match=r"header: expected height_m, pitch_deg, roll_deg together, \w+ is missing"):
+        read_poses(write(tmp_path, text), ORIGIN)
+
+
 def test_tum(tmp_path: Path) -> None:
     text = "# t x y z qx qy qz qw\n0.5 1 2 3 0 0 0 1\n1.0 2 2 3 0 0 0 1 # end\n"
     at = read_poses(write(tmp_path, text, "drive.tum")).pose(750_000_000)

@@ -6,7 +6,7 @@ CSV with a header line and a row for each pose, times rising; either in the map'
 
 or on the earth, with optional columns in brackets
 
-    timestamp_s,lat_deg,lon_deg,heading_deg[,height_m[,pitch_deg,roll_deg]]
+    timestamp_s,lat_deg,lon_deg,heading_deg[,height_m,pitch_deg,roll_deg]
 
 heading clockwise from north, pitch upwards, roll to the right. Any other ending is TUM's format: `t x y z qx qy qz qw`
 in seconds and metres, separated by blanks; `#` begins a comment. All are poses of the vehicle's frame: x forward,
@@ -143,6 +143,12 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
         raise ValueError(
             f"{path}: header: expected the columns {time_columns[0]}, {', '.join(kind)}"
             f" and perhaps {', '.join(options)}, each once, got {', '.join(columns)}"
+        )
+    lacking = [name for name in EARTH_OPTIONS if name not in columns]
+    if kind == EARTH_COLUMNS and 0 < len(lacking) < len(EARTH_OPTIONS):  # what is there would change nothing
+        raise ValueError(
+            f"{path}: header: expected {', '.join(EARTH_OPTIONS)} together, {lacking[0]} is missing; without any of "
+            "them the car is taken to stand on the map's road"
         )
     if (kind == EARTH_COLUMNS) != (origin is not None):
         needed = "lat_deg, lon_deg, heading_deg" if origin is not None else "x_m, y_m, z_m, qx, qy, qz, qw"
