@@ -104,8 +104,8 @@ def _check_own_model(config: Path, model: Path | None) -> None:
         return
     if not model.is_file() or file_digest(model) != file_digest(own):
         raise ValueError(
-            f"{config}: classifier.model: expected the model beside it, as a training's folder has it, got {model}; was "
-            f"the folder copied? --model {own} takes that one"
+            f"{config}: classifier.model: expected the model beside it, as a training's folder has it, got {model}; "
+            f"was the folder copied? --model {own} takes that one"
         )
 
 
