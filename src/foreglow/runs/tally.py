@@ -47,7 +47,7 @@ class LatestTimes:
 
 
 MAX_FAULT_NAMES, OTHER_FAULTS = 1000, "other_faults"
-"""Names of faults that are counted, and what further ones are counted as: those of a plug-in may have numbers in them."""
+"""Names of faults that are counted, and what others are counted as: those of a plug-in may have numbers in them."""
 
 
 class FaultCounts(Counter[str]):

@@ -38,7 +38,9 @@ class CanLogSink:
     messages: time never goes back.
     """
 
-    def __init__(self, path: Path, *, suffix: str | None = None, ramp_s: float = RAMP_S, has_levels: bool = True) -> None:
+    def __init__(
+        self, path: Path, *, suffix: str | None = None, ramp_s: float = RAMP_S, has_levels: bool = True
+    ) -> None:
         """Opens the log.
 
         Args:
