@@ -232,15 +232,16 @@ def test_a_loop_over_step_gives_what_run_gives() -> None:
 
 
 class Stumbling(Tracker):
-    """Loses the third frame, and counts how often it begins anew."""
+    """Loses a frame, the third one, and counts how often it begins anew."""
 
-    def __init__(self, config: TrackerConfig | None = None) -> None:
+    def __init__(self, config: TrackerConfig | None = None, *, lost: int = 3) -> None:
+        self.lost = lost
         self.tracker = make_tracker(config or preset("foreglow").tracker)
         self.num_frames = self.num_resets = 0
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         self.num_frames += 1
-        if self.num_frames == 3:
+        if self.num_frames == self.lost:
             raise ArithmeticError
         return self.tracker.update(frame, detections, ranges)
 
@@ -259,6 +260,28 @@ def test_the_frame_after_an_error_begins_anew() -> None:
     after = [identity(pipeline.step(frame)) for frame in frames[3:]]
     assert tracker.num_resets == 2
     assert [before, after] == [[identity(r) for r in Pipeline().run(part)] for part in (frames[:2], frames[3:])]
+
+
+def test_an_error_does_not_make_damage_usual() -> None:
+    """Where an image is half stuck, the guard still knows so after the frame that a stage has lost."""
+    frames = shipped_frames(0, 52)
+    middle = frames[0].width_px // 2
+    for number in range(40, 52):
+        image = frames[number].image.copy()
+        image[:, :middle] = frames[39].image[:, :middle]
+        frames[number] = replace(frames[number], image=image)
+    pipeline = Pipeline(preset("foreglow").commanding(policy="high"), tracker=Stumbling(lost=45))
+    faults: list[tuple[str, ...]] = []
+    for number, frame in enumerate(frames, start=1):
+        if number == 45:
+            with pytest.raises(ArithmeticError):
+                pipeline.step(frame)
+            continue
+        beam = pipeline.step(frame).beam
+        assert beam is not None
+        faults.append(beam.faults)
+    assert not any(faults[1:40])
+    assert all(GuardFault.DAMAGED in found for found in faults[41:])
 
 
 class Thinking(BeamPolicy):

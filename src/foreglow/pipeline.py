@@ -148,7 +148,18 @@ class Stages:
 
     def reset(self) -> None:
         """Has the stages forget what earlier frames left behind, as at the start of a sequence."""
-        for stage in (self.standing, self.classifier, self.estimator, self.tracker, self.beam):
+        self._reset_before_beam()
+        if self.beam is not None:
+            self.beam.reset()
+
+    def resume(self) -> None:
+        """The same after an error within a sequence, but for what the guard knows of the camera."""
+        self._reset_before_beam()
+        if self.beam is not None:
+            self.beam.resume()
+
+    def _reset_before_beam(self) -> None:
+        for stage in (self.standing, self.classifier, self.estimator, self.tracker):
             if stage is not None:
                 stage.reset()
 
@@ -192,6 +203,7 @@ class Pipeline:
         self._stages.build()
         self._stopwatch = Stopwatch()
         self._sequence: str | None = None  # of the frame before; None where the next frame begins anew
+        self._has_failed = False  # in the frame before
         self._lock = threading.Lock()
 
     @property
@@ -213,7 +225,7 @@ class Pipeline:
         """What the stages make of `frame`.
 
         A frame of another sequence than the one before it begins anew, as sequences share no time axis, and so does
-        the frame after an error.
+        the frame after an error, but for what the guard knows of the camera.
 
         Args:
             frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
@@ -234,8 +246,11 @@ class Pipeline:
         stages = self._stages
         stopwatch = self._stopwatch = Stopwatch()
         if frame.sequence != self._sequence:
+            self._sequence = None  # until all stages have begun anew
             stages.reset()
-        self._sequence = None  # until all stages have seen this frame
+        elif self._has_failed:
+            stages.resume()
+        self._sequence, self._has_failed = frame.sequence, True  # until all stages have seen this frame
         stopwatch.begin("proposals")
         proposals = stages.proposer.propose(frame.image)
         if stages.standing is not None:
@@ -258,7 +273,7 @@ class Pipeline:
                     stopwatch.begin("beam")
                     beam = stages.beam.command(frame, tracks, now_ns=now_ns, faults=faults)
         stopwatch.end()
-        self._sequence = frame.sequence
+        self._has_failed = False
         times_ms = stopwatch.times_ms
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, times_ms, ranges, tracks, beam)
 
@@ -278,6 +293,15 @@ class Pipeline:
         """
         with self._alone("reset"):
             self._sequence = None
+
+    def resume(self) -> None:
+        """Has the next frame begin anew as after an error: as `reset`, but for what the guard knows of the camera.
+
+        Raises:
+            RuntimeError: If another thread is inside `step` of this pipeline.
+        """
+        with self._alone("resume"):
+            self._has_failed = True
 
     def __reduce__(self) -> NoReturn:
         raise TypeError("Pipeline: cannot be copied or pickled; make one of its config, such as in each process")

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from foreglow.beam.dimming import FARTHEST_M, Dimmer, Ramp
 from foreglow.beam.gaps import Gap
 from foreglow.geometry import Floats
-from foreglow.photometry import read_headlamps
+from foreglow.photometry import Headlamp, Headlamps, low_beam, read_headlamps
+from foreglow.photometry.matrix import LedGrid, grid_lamp
 
 LAMPS = read_headlamps()
 LIMIT_LX = 0.03
@@ -130,6 +131,26 @@ def test_the_hold_begins_when_nothing_asks_for_darkness_any_more() -> None:
     assert levels == pytest.approx([1.0] + [0.2] * 7 + [0.3, 0.4])
 
 
+def test_leds_finer_than_the_tables_directions_are_dimmed_as_well() -> None:
+    """Rows of light between the elevations of the table."""
+    grid = LedGrid(
+        num_columns=3,
+        pitch_deg=1.0,
+        row_elevations_deg=(0.25, 0.75),
+        row_peaks_cd=(30_000.0, 20_000.0),
+        side_sigma_deg=6.5,
+        everywhere_cd=0.0,
+        half_width_deg=0.4,
+        half_height_deg=0.05,
+        edge_exponent=2.0,
+        reach_width_deg=0.8,
+        reach_height_deg=0.15,
+    )
+    left, right = (Headlamp(lamp.vehicle_from_lamp, grid_lamp(low_beam(), grid)) for lamp in (LAMPS.left, LAMPS.right))
+    levels = Dimmer(Headlamps("fine", left, right), LIMIT_LX).levels([Gap(-0.1, 0.1, 100.0, 200.0)])
+    assert (levels * np.repeat([30_000.0, 20_000.0], 3)).max() <= 1.05 * LIMIT_LX * 100.0**2
+
+
 def test_time_that_goes_back_brings_no_light() -> None:
     ramp = Ramp(hold_s=0.0, restore_s=1.0)
     for time_ns in (5_000_000_000, 4_000_000_000):
@@ -141,3 +162,13 @@ def test_a_new_start_knows_nothing() -> None:
     ramp.step(np.zeros((2, 1)), 0)
     ramp.reset()
     assert (ramp.step(np.ones((2, 1)), 1) == 1.0).all()
+
+
+def test_after_time_went_back_light_returns_after_the_hold() -> None:
+    """What was dimmed at a time far ahead, as by a camera with a wrong clock, is not held until then."""
+    ramp = Ramp(hold_s=0.1, restore_s=0.5)
+    ramp.step(np.ones((2, 1)), 0)
+    ramp.step(np.zeros((2, 1)), 3_600_000_000_000)
+    levels = [ramp.step(np.ones((2, 1)), step * 100_000_000)[0, 0] for step in range(1, 9)]
+    assert levels[0] == 0.0
+    assert levels[-1] == 1.0

@@ -201,6 +201,16 @@ def test_gaps_of_the_policy_stay() -> None:
     assert both.gaps_rad[1, 1] > 0.041
 
 
+def test_what_has_passed_no_longer_changes() -> None:
+    """A policy may use its arrays again for the next frame."""
+    frame, gaps_rad, ranges_m = frame_at(25), np.array([[-0.1, 0.1]]), np.array([50.0])
+    wanted = BeamCommand(frame.timestamp_ns, BeamMode.GLARE_FREE, np.ones((2, NUM_LEDS)), gaps_rad, ranges_m)
+    passed = running().check(wanted, NOBODY, frame)
+    gaps_rad[:], ranges_m[:] = 0.3, 1.0
+    assert passed.gaps_rad.tolist() == [[-0.1, 0.1]]
+    assert passed.gap_ranges_m.tolist() == [50.0]
+
+
 def test_other_camera_other_directions() -> None:
     guard = running()
     tracks = tracks_of([box_around(0.03, -0.004, 0.004)], [100.0])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.image_faults import CODINGS, NUM_GOOD, RATE_HZ, as_coded, faults_of
 from foreglow.beam.faults import GuardFault
+from foreglow.beam.image_damage import RELEARN_S
 from foreglow.types import Image
 from tests.beam.watched import part_of_an_old_image, road_ahead, with_noise
 
@@ -267,6 +268,13 @@ def test_a_part_that_stays_stuck_while_the_image_stands_still_and_after_a_torn_o
     faults = faults_of([*good, *stuck])
     assert not any(faults[: len(good)])
     assert all(GuardFault.DAMAGED in found for found in faults[len(good) + 1 :])
+
+
+def test_black_images_are_no_time_in_which_damage_becomes_usual(drive: list[Image]) -> None:
+    half = part_of_an_old_image(drive[NUM_GOOD:], np.zeros_like(drive[0]), 0.5)
+    black = [np.zeros_like(drive[0])] * (round(RELEARN_S * RATE_HZ) + 10)
+    faults = faults_of([*drive[:NUM_GOOD], *half[:6], *black, *half[6:]])[-len(half[6:]) :]
+    assert all(GuardFault.DAMAGED in found for found in faults[2:])
 
 
 @pytest.mark.parametrize("place", ["quarter", "half", "every fourth row", "every other image"])

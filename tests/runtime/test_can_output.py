@@ -12,8 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, CanFrame, CommandEncoder, decode_gaps, decode_levels
+from foreglow.beam.messages import (
+    GAPS_ID,
+    LEVELS_IDS,
+    RAMP_S,
+    CanFrame,
+    CommandEncoder,
+    decode_gaps,
+    decode_levels,
+)
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
+from foreglow.config import BeamConfig, GuardConfig
 from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.can_output import LOG_SUFFIXES, MAX_SEND_S, CanBus, CanLogSink
 from foreglow.runtime.live.outlet import LIMIT_S
@@ -305,3 +314,18 @@ def test_a_driver_that_fails_while_sending(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(OSError, match="virtual:failing: not what the driver takes"):
         bus.send(command_at(0))
     bus.close()
+
+
+def test_lamps_that_take_gaps_brighten_slowly_unless_told_otherwise(tmp_path: Path) -> None:
+    """As slowly as policies and the guard let light return."""
+    assert max(BeamConfig().restore_s, GuardConfig().brightening_s) == RAMP_S
+    sink = CanLogSink(tmp_path / "beam.log", has_levels=False)
+    sink.write(*result_at(PERIOD))
+    sink.close()
+    with can.Bus(interface="virtual", channel="foreglow-ramp") as lamps_bus:
+        bus = CanBus("virtual:foreglow-ramp", has_levels=False)
+        bus.send(command_at(PERIOD))
+        received = lamps_bus.recv(timeout=2.0)
+        bus.close()
+    for message in (received, *read(tmp_path / "beam.log", ".log")):
+        assert decode_gaps(GAPS_ID, bytes(message.data)).ramp_s >= RAMP_S

@@ -207,3 +207,23 @@ def test_near_light_needs_more_evidence(gate: float, range_m: float, num_frames:
         inf,
     )
     assert needed == num_frames
+
+
+@pytest.mark.parametrize("config", [OURS, ALONE])
+def test_after_a_long_gap_nobody_is_in_company(config: TrackerConfig) -> None:
+    """The first vehicle of another scene is confirmed as soon as that of the first one."""
+    tracker = AlphaBetaTracker(config)
+    found = [
+        [
+            bool(
+                tracker.update(
+                    frame_at(begin_s + number * FRAME_S), detections_of((*LAMP[:4], 0.6)), None
+                ).is_plausible.any()
+            )
+            for number in range(20)
+        ]
+        for begin_s in (0.0, 60.0)
+    ]
+    assert found[0] == found[1]
+    assert found[0][-1]
+    assert not found[0][0]

@@ -148,7 +148,9 @@ class CameraWatch:
         is_feigned = self._num_noise >= 2 and is_moving is True
         if is_frozen or is_feigned or (known.is_back and is_moving is not False):
             faults.append(GuardFault.FROZEN)
-        if not (is_black or is_saturated):  # there, rows are alike and nothing is new without any damage
+        if is_black or is_saturated:  # rows are alike, and nothing is new, without any damage
+            self._damage.pass_over(self._time_ns / 1e9)
+        else:
             values = ValueShares(_share_of_one_value(sample, top), int(num_white) / sample.size)
             is_still = self._stillness.is_still
             is_damaged |= self._damage.update(

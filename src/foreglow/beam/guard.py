@@ -65,6 +65,14 @@ class Guard:
         self._ages_s: dict[int, float] = {}
         self._watch.reset()
 
+    def resume(self) -> None:
+        """Begins with low beam after frames that it did not see, as a stage before it failed in them.
+
+        What is known of images and clock stays: damage that was found is not taken for what is usual.
+        """
+        self._levels = np.zeros_like(self._levels)
+        self._ages_s = {}
+
     def check(
         self,
         wanted: BeamCommand,
@@ -105,7 +113,7 @@ class Guard:
             self._levels = np.zeros_like(self._levels)
             return BeamCommand.low(frame.timestamp_ns, self._bounds.num_leds, *names)
         levels = np.minimum(wanted.levels, self._levels + elapsed_s / self._config.brightening_s)  # (1)
-        gaps_rad, gap_ranges_m = wanted.gaps_rad, wanted.gap_ranges_m
+        gaps_rad, gap_ranges_m = wanted.gaps_rad.copy(), wanted.gap_ranges_m.copy()  # what passed stays so
         is_protected = tracks.is_plausible if is_vehicle is None else tracks.is_plausible & is_vehicle
         if is_protected.any():
             ranges_m = tracks.ranges_m[is_protected]

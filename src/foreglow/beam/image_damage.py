@@ -209,6 +209,10 @@ class ImageDamage:
         self._before_s = time_s
         return time_s - self._damaged_s <= DAMAGE_HOLD_S
 
+    def pass_over(self, time_s: float) -> None:
+        """Takes note of an image at that time of which no damage can be told: it is not unusual for so long."""
+        self._before_s = time_s
+
     def _forget(self) -> None:
         """Forgets what is usual."""
         self._repeated: deque[float] = deque(maxlen=NUM_RECENT)

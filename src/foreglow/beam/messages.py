@@ -51,6 +51,9 @@ BORDERS_RAD: tuple[float, ...] = tuple(np.radians(np.arange(1021) * 0.04 - 20.4)
 
 RAMPS_S = tuple(code * 0.2 for code in range(16))
 
+RAMP_S = 0.5
+"""Light returns as slowly as policies and guard let it in LEDs, unless they are told otherwise."""
+
 _INITIAL_CRC = 0xFFFF
 _CRC_SIZE = 2
 _HEADER = struct.Struct("<BBH")
@@ -184,7 +187,7 @@ class CommandEncoder:
         counter: Counter of the next command.
     """
 
-    def __init__(self, ramp_s: float = 0.0, *, has_levels: bool = True) -> None:
+    def __init__(self, ramp_s: float = RAMP_S, *, has_levels: bool = True) -> None:
         """An encoder whose counter begins at 0.
 
         Args:
@@ -223,7 +226,7 @@ def encode_levels(command: BeamCommand, counter: int) -> tuple[CanFrame, ...]:
     )
 
 
-def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = 0.0) -> CanFrame:
+def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = RAMP_S) -> CanFrame:
     """The command's gaps as one frame of 24 bytes.
 
     Borders are rounded outwards, ranges down, the ramp up. Gaps that touch are joined, and so are those with the least

@@ -97,3 +97,8 @@ class BeamStage:
         self._guard.reset()
         self._lit_street.reset()
         self._policy.reset()
+
+    def resume(self) -> None:
+        """Has policy and light begin anew after an error; what says that light must stay off is not forgotten."""
+        self._guard.resume()
+        self._policy.reset()

@@ -46,6 +46,18 @@ class LatestTimes:
             self.add(value)
 
 
+MAX_FAULT_NAMES, OTHER_FAULTS = 1000, "other_faults"
+"""Names of faults that are counted, and what others are counted as: those of a plug-in may have numbers in them."""
+
+
+class FaultCounts(Counter[str]):
+    """How often each fault was; no more than `MAX_FAULT_NAMES` of them have counts of their own."""
+
+    def add(self, name: str, num: int = 1) -> None:
+        """Counts a fault `num` times more."""
+        self[name if name in self or len(self) < MAX_FAULT_NAMES else OTHER_FAULTS] += num
+
+
 class Tally:
     """Counts and run-times of a run or of a part of it; `extend` joins the tallies of parts."""
 
@@ -61,7 +73,7 @@ class Tally:
         self._sequence = ""
         self._counted: set[int] = set()
         self._modes: Counter[int] = Counter()
-        self._faults: Counter[str] = Counter()
+        self._faults = FaultCounts()
         self._num_gaps = 0
         self._sum_gaps_rad = 0.0
         self._sizes_px: dict[tuple[int, int], None] = {}
@@ -82,7 +94,8 @@ class Tally:
             self._count_tracks(frame.sequence, result.tracks)
         if result.beam is not None:
             self._modes[result.beam.mode] += 1
-            self._faults.update(result.beam.faults)
+            for name in result.beam.faults:
+                self._faults.add(name)
             self._num_gaps += len(result.beam.gaps_rad)
             self._sum_gaps_rad += float(np.diff(result.beam.gaps_rad).sum())
         self._sizes_px[frame.width_px, frame.height_px] = None
@@ -98,7 +111,8 @@ class Tally:
         if later._num_tracks is not None:
             self._num_tracks = (self._num_tracks or 0) + later._num_tracks
         self._modes.update(later._modes)
-        self._faults.update(later._faults)
+        for name, num in later._faults.items():
+            self._faults.add(name, num)
         self._sizes_px |= later._sizes_px
         for name, values in later._stage_ms.items():
             self._stage_ms[name].extend(values)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from foreglow.beam.messages import CanFrame, CommandEncoder
+from foreglow.beam.messages import RAMP_S, CanFrame, CommandEncoder
 from foreglow.datasets.vehicle_logs.can_writing import keep_times
 from foreglow.plugins import described
 from foreglow.runtime.time_axis import TimeAxis
@@ -38,7 +38,9 @@ class CanLogSink:
     messages: time never goes back.
     """
 
-    def __init__(self, path: Path, *, suffix: str | None = None, ramp_s: float = 0.0, has_levels: bool = True) -> None:
+    def __init__(
+        self, path: Path, *, suffix: str | None = None, ramp_s: float = RAMP_S, has_levels: bool = True
+    ) -> None:
         """Opens the log.
 
         Args:
@@ -128,7 +130,7 @@ def open_bus(channel: str) -> can.BusABC:
 class CanBus:
     """Sends commands onto a live bus."""
 
-    def __init__(self, channel: str, *, ramp_s: float = 0.0, has_levels: bool = True) -> None:
+    def __init__(self, channel: str, *, ramp_s: float = RAMP_S, has_levels: bool = True) -> None:
         """Opens the bus.
 
         Args:

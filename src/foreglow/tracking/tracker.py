@@ -86,7 +86,7 @@ class AlphaBetaTracker(Tracker):
         step_s = self._step_s(frame)
         size_px = frame.width_px, frame.height_px
         if not 0.0 < step_s <= self._config.max_gap_s or size_px != (self._size_px or size_px):
-            self._states = self._born(0)
+            self._states, self._company = self._born(0), Company()
             if self._vehicles is not None:
                 self._vehicles.forget()
             step_s = 1.0 / self._config.rate_hz

@@ -94,11 +94,11 @@ class VehicleGroups:
     def reset(self) -> None:
         """Forgets all vehicles, as at the start of a sequence; ids begin again."""
         self._next_id = 0
-        self._company = Company()
         self.forget()
 
     def forget(self) -> None:
         """Forgets all vehicles; their ids are not reused."""
+        self._company = Company()
         none = np.zeros(0, np.int64)
         self._lights = _Lights(none, none, np.zeros((0, 4)), np.zeros(0))
         self._states = _unseen(none, self._rule.memory_size)

@@ -21,6 +21,7 @@ from foreglow.config import LiveConfig
 from foreglow.pipeline import Pipeline
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.json_lines import LineSink
+from foreglow.runs.tally import MAX_FAULT_NAMES
 from foreglow.runtime.health import Health
 from foreglow.runtime.live import LiveLoop, Paced
 from foreglow.runtime.live.background import NUM_WAITING, Background
@@ -102,6 +103,17 @@ def test_book_of_faults() -> None:
         ("failed", 3, None, ""),
     ]
     assert dict(book.counts) == {"gone": 1, "slow": 1, "failed": 1}
+
+
+def test_a_book_of_faults_whose_names_have_numbers_does_not_grow() -> None:
+    book = FaultBook(lambda: 0, ())
+    for number in range(MAX_FAULT_NAMES + 5):
+        book.note("guard", ["map_lost"] if number % 2 else [f"score {number}"])
+    for number in range(2 * MAX_FAULT_NAMES):
+        book.note("guard", [f"tile {number}"])
+    assert len(book.counts) == MAX_FAULT_NAMES + 1
+    assert book.counts["map_lost"] == (MAX_FAULT_NAMES + 5) // 2
+    assert book.counts.total() == 3 * MAX_FAULT_NAMES + 5
 
 
 def test_a_fault_from_before_the_first_frame_has_a_length(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -162,7 +162,7 @@ def read_encounters(
                 light_s=light_s,
                 sight_s=next(sights, math.nan),
                 production_s=production_s,
-                duration_s=dataset.time_s(max(sequence.image_ids)),
+                duration_s=max(map(dataset.time_s, sequence.image_ids)),
             )
         )
     return tuple(encounters)

@@ -310,7 +310,7 @@ def _add_faults(page: Page, run: RecordedRun) -> None:
         ]
         page.table(Table(["fault", "at, s", "for, s", "what is known"], rows))
         if len(events) > MAX_EVENTS:
-            page.text(f"{len(events) - MAX_EVENTS} later ones are left out; all are in summary.json.")
+            page.text(f"{len(events) - MAX_EVENTS} later ones are left out; they are in summary.json.")
 
 
 def _words(fault: str) -> str:

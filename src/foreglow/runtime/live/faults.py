@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from enum import StrEnum
 
 from foreglow.runs.summary_file import FaultEvent
+from foreglow.runs.tally import FaultCounts
 
 MAX_EVENTS = 1000
 """Events that are kept, the latest ones; `FaultBook.counts` counts all."""
@@ -65,7 +66,7 @@ class FaultBook:
         self._unheeded: dict[str, None] = {}
         self._lock = threading.Lock()
         self.events: deque[FaultEvent] = deque(maxlen=MAX_EVENTS)
-        self.counts: Counter[str] = Counter()
+        self.counts = FaultCounts()
 
     def note(self, origin: str, faults: Iterable[str] = (), detail: str = "") -> None:
         """Reports all faults of `origin` that are present now."""
@@ -84,7 +85,7 @@ class FaultBook:
                     known[name] = FaultEvent(name, now_ns, detail=detail)
                     self._begun_s[id(known[name])] = time.monotonic()
                     self.events.append(known[name])
-                    self.counts[name] += 1
+                    self.counts.add(name)
                 known[name].detail = known[name].detail or detail
             self._active[origin] = known
             if origin in self._low_beam_origins:

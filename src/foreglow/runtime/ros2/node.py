@@ -133,6 +133,7 @@ class FrameNode(ABC, Generic[Inputs]):
         patience_ns = Join.PATIENCE_NS if patience_s is None else round(patience_s * 1e9)
         self._join = Join(exact, sampled, fast=topics.FAST, patience_ns=patience_ns, clock_ns=self.clock_ns)
         self._sequence: str | None = None
+        self._has_failed = False
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._reliable: list[str] = []
         self._looked_ns = 0
@@ -150,6 +151,10 @@ class FrameNode(ABC, Generic[Inputs]):
     @abstractmethod
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
+
+    def resume(self) -> None:
+        """Begins anew after a frame that failed."""
+        self.reset()
 
     @abstractmethod
     def read(self, joined: Joined) -> Inputs:
@@ -252,6 +257,9 @@ class FrameNode(ABC, Generic[Inputs]):
             if header.sequence != self._sequence:
                 self.reset()
                 self._sequence = header.sequence
+            elif self._has_failed:
+                self.resume()
+            self._has_failed = False
             stopwatch.begin("decode")
             fault = BAD_MESSAGE
             inputs = self.read(joined)

@@ -222,14 +222,14 @@ class CommandingNode(FrameNode[Inputs]):
         self._output = BeamOutput(self, setting.config, can=setting.can, deadline_s=setting.deadline_s)
 
     def failed(self, header: Header, fault: str) -> None:
-        """Commands low beam; the next frame begins with a reset, so with low beam, from which light returns slowly."""
-        self._sequence = None
+        """Commands low beam; the next frame begins anew, so with low beam, from which light returns slowly."""
+        self._has_failed = True
         self._output.arrived()
         self._output.low(header, fault)
 
     def refused(self) -> None:
-        """Commands low beam at once, and the next frame begins with a reset; the deadline runs on."""
-        self._sequence = None
+        """Commands low beam at once, and the next frame begins anew; the deadline runs on."""
+        self._has_failed = True
         self._output.low(Header(self.clock_ns()), BAD_MESSAGE)
 
     def idle(self, now_ns: int) -> None:
@@ -252,6 +252,10 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     def reset(self) -> None:
         """Forgets earlier frames: begins with low beam."""
         self._stage.reset()
+
+    def resume(self) -> None:
+        """Begins with low beam, but does not forget what is known of the camera."""
+        self._stage.resume()
 
     def read(self, joined: Joined) -> tuple[Frame, Tracks]:
         """The frame and its tracks."""
@@ -279,6 +283,10 @@ class PipelineNode(CommandingNode[Frame]):
     def reset(self) -> None:
         """Forgets earlier frames."""
         self._pipeline.reset()
+
+    def resume(self) -> None:
+        """Begins with low beam, but does not forget what is known of the camera."""
+        self._pipeline.resume()
 
     def read(self, joined: Joined) -> Frame:
         """The frame."""
