@@ -71,7 +71,8 @@ class Video(FileSource):
         num_frames: Number of frames by the container, which may be wrong by a few; None if unknown.
         pixel_aspect: Width of a pixel over its height, as the file says it, before any display matrix; 1 if it is
             square to a hundredth, or nobody says it.
-        notes: Lines for people, if need be: what is assumed of the times, and that pixels are not square.
+        notes: Lines for people, if need be: what is assumed of the times, that pixels are not square, and that
+            there are further video streams.
     """
 
     def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
@@ -109,6 +110,7 @@ class Video(FileSource):
             self._hole = hole(self.path, container.format.name)
             self.pixel_aspect = _pixel_aspect(stream)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
+            num_others = len(video_streams(container)) - 1
         self.rate_hz = float(self._rate) if self._rate else None
         self.notes: list[str] = []
         if self.pixel_aspect != 1:
@@ -118,6 +120,11 @@ class Video(FileSource):
             self.notes.append(
                 f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
                 "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
+            )
+        if num_others:
+            self.notes.append(
+                f"{self.path}: has {num_others + 1} video streams, as of several cameras: the first one is read "
+                "(`ffmpeg -i FILE -map 0:v:1 -c copy OUT.mp4` makes a file of the second)"
             )
         # Where bytes are missing in the middle, the container misses them at the end, too.
         self._lost = [*(self._hole.lines if self._hole else ()), *([self._truncation] if missing else [])]
