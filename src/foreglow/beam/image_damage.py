@@ -323,7 +323,7 @@ class ImageDamage:
         usual = _older(self._words)
         if len(usual) < NUM_RECENT or known.words.num < MIN_WORDS:
             return False
-        most = np.max(usual, axis=0)
+        most = np.array([max(each) for each in zip(*usual, strict=True)])
         shares = np.array([known.words.share_before, known.words.share_above])
         changes = _older(self._changes)
         is_noisy = min(each.share_changed for each in changes) > FRESH_SHARE

@@ -134,7 +134,9 @@ class ImagePieces:
         """
         piece_px = min(PIECE_PX, rows.shape[1])
         width_px = rows.shape[1] // piece_px * piece_px
-        means = rows[:, :width_px].reshape(len(rows), -1, piece_px).mean(axis=2) / top
+        # The sums are exact: a third of the time of means.
+        pieces = rows[:, :width_px].astype(np.float32).reshape(len(rows), -1, piece_px)
+        means = (pieces @ np.ones(piece_px, np.float32)).astype(np.float64) / piece_px / top
         before, self._before = self._before, means
         inner = middle(len(rows))
         is_noise = before.shape == means.shape and (_is_noise(means, before) or _is_noise(means[inner], before[inner]))
@@ -164,11 +166,12 @@ class ImagePieces:
 
 def _is_noise(means: Floats, before: Floats) -> bool:
     """Whether the means of the pieces, shape (rows, pieces in a row), have changed as noise changes them."""
-    changes = means - before
-    drift = abs(np.median(changes))
-    changes = np.abs(changes).ravel()
+    signed = means - before
+    changes = np.abs(signed).ravel()
     median, strong = _median_and_strong(changes)
-    if not median > max(LEAST_NOISE, DRIFT_RATIO * drift) or strong >= UNEVEN_RATIO * median:
+    if not median > LEAST_NOISE or strong >= UNEVEN_RATIO * median:  # so it is where something moves
+        return False
+    if not median > DRIFT_RATIO * abs(np.median(signed)):
         return False
     return strong < NOISE_RATIO * median or _is_noise_of_light(changes, (means + before).ravel())
 

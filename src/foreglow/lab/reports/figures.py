@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Iterable, Sequence
 from io import BytesIO
 from typing import Any
@@ -15,6 +16,8 @@ from foreglow.geometry import Floats
 
 INK, AMBER, BLUE, GREY, PALE, GREEN = "#222222", "#d9822b", "#3b6fb6", "#888888", "#d5d9e0", "#2c9c4b"
 DPI = 130
+MOST_IN_A_ROW = 8
+"""Entries of a legend."""
 
 
 def require_matplotlib() -> None:
@@ -75,9 +78,10 @@ def show_image(axes: Any, image: NDArray[Any], title: str, **how: Any) -> None:
 
 
 def legend_above(figure: Any, axes: Any, **options: Any) -> None:
-    """Puts the legend of `axes` above all axes, in one row unless `options` say otherwise."""
+    """Puts the legend of `axes` above all axes, in rows of up to `MOST_IN_A_ROW` unless `options` say otherwise."""
     handles, labels = axes.get_legend_handles_labels()
-    settings = {"frameon": False, "ncols": max(len(labels), 1)} | options
+    num_rows = max(math.ceil(len(labels) / MOST_IN_A_ROW), 1)
+    settings = {"frameon": False, "ncols": max(math.ceil(len(labels) / num_rows), 1)} | options
     figure.legend(handles, labels, loc="outside upper center", **settings)
 
 

@@ -112,6 +112,13 @@ def test_in_words(results: GlareResults) -> None:
     assert "(low beam 25%), after it 100%" in lines[2]
 
 
+def test_in_words_beside_other_configurations(results: GlareResults) -> None:
+    """What `--also` added was the policy that the words were about."""
+    also = dataclasses.replace(results.policy("high"), name="ask")
+    beside = dataclasses.replace(results, policies=(*results.policies, also))
+    assert summary_lines(beside) == summary_lines(results)
+
+
 def test_the_driver_to_look_at() -> None:
     drive = DRIVES[0]
     follows = dataclasses.replace(drive.eyes[0], vehicle_id=5, is_oncoming=False)

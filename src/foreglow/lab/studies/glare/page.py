@@ -113,8 +113,9 @@ def write_experiment(experiment: GlareExperiment) -> Path:
 
 
 def own_policy(results: GlareResults) -> str:
-    """The row of our pipeline: `foreglow`, or the one that a user has chosen in its place."""
-    return next((policy.name for policy in results.policies if policy.name not in POLICY_ROWS), "foreglow")
+    """The row of our pipeline: `foreglow`, or the one that a user has chosen in its place, before those of `--also`."""
+    names = [policy.name for policy in results.policies]
+    return next((name for name in names if name not in POLICY_ROWS and "foreglow" not in names), "foreglow")
 
 
 def summary_lines(results: GlareResults) -> list[str]:
