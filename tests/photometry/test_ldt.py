@@ -104,6 +104,7 @@ def changed(line: int, text: str) -> list[str]:
         (changed(6, "4"), "angles gamma: expected growing"),
         (changed(29, "-1000"), "total luminous flux: expected positive numbers, got 1 and -1000"),
         (changed(24, "0"), "conversion factor, .*: expected positive numbers, got 0 and 1000"),
+        (changed(25, "15"), "line 25: tilt during measurement: expected 0, .*, got 15 degrees"),
         (changed(44, "0"), "angles C: expected angles that grow"),
         (changed(45, "170"), "angles C: expected .0.0, 180.0. as first and last .* got .0.0, 170.0."),
         (changed(46, "360"), "angles C: expected angles that grow from 0 to less than 360"),
@@ -121,6 +122,12 @@ def test_bad_files(tmp_path: Path, lines: list[str], complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint) as caught:
         read_ldt(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_tilt_that_is_not_said(tmp_path: Path) -> None:
+    assert np.array_equal(
+        read_ldt(written(tmp_path, changed(25, ""))).intensities_cd, read_ldt(written(tmp_path, GOOD)).intensities_cd
+    )
 
 
 def test_no_file(tmp_path: Path) -> None:

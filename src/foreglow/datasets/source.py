@@ -27,6 +27,36 @@ def also_left_out(skipped: Iterable[str], known: Collection[str] = ()) -> str:
     return next((f"; {line}" for line in skipped if line not in known), "")
 
 
+RESTART_NS = 1_000_000_000
+"""Where times go back by more than this, another recording begins; by less, a frame is late."""
+
+
+class TimeOrder:
+    """Sees to the order of time of a file's frames.
+
+    Attributes:
+        sequence: The frames' sequence: empty, or named after the frame at which times began anew.
+        latest: Index and time of the latest frame that was taken; zeros before the first.
+    """
+
+    def __init__(self) -> None:
+        self.sequence, self.latest, self._has_begun = "", (0, 0), False
+
+    def take(self, index: int, timestamp_ns: int) -> None:
+        """Takes the next frame.
+
+        Raises:
+            ValueError: If it is late.
+        """
+        latest_ns = self.latest[1] if self._has_begun else timestamp_ns
+        if timestamp_ns < latest_ns - RESTART_NS:
+            self.sequence = f"frame {index}"
+        elif timestamp_ns < latest_ns:
+            expected = f"expected a time from {latest_ns / 1e9:.6g} s on, that of the frame before"
+            raise ValueError(f"{expected}, got {timestamp_ns / 1e9:.6g} s")
+        self.latest, self._has_begun = (index, timestamp_ns), True
+
+
 class FrameSource(Protocol):
     """Frames in the order of time; iterating again starts again from the first."""
 

@@ -17,6 +17,7 @@ import numpy as np
 from av.container import OutputContainer
 from av.video.stream import VideoStream
 
+from foreglow.datasets.source import RESTART_NS
 from foreglow.display.overlay import Picture, annotate
 from foreglow.display.tone import Tone
 from foreglow.types import Frame, FrameResult
@@ -39,9 +40,6 @@ TIME_BASE = Fraction(1, 90_000)
 
 MAX_PAUSE_NS = 3_600_000_000_000
 """Longer pauses are left out of a video; an MP4 file cannot hold one of 13 hours."""
-
-RESTART_NS = 1_000_000_000
-"""Where times go back by more than this, another recording begins; by less, a frame is late."""
 
 ENCODING = {"crf": "23", "preset": "ultrafast"}
 """Of x264. Of a brightened, noisy night the preset `veryfast` at a factor of 20 makes as large a file and as small an

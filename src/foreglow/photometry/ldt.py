@@ -16,7 +16,7 @@ from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.number_fields import NumberFields, read_lamp_text, scaled_candela
 from foreglow.photometry.resampling import resampled
 
-SYMMETRY_LINE, GAMMAS_LINE, FACTOR_LINE, SETS_LINE, FLUX_LINE = 3, 6, 24, 26, 29
+SYMMETRY_LINE, GAMMAS_LINE, FACTOR_LINE, TILT_LINE, SETS_LINE, FLUX_LINE = 3, 6, 24, 25, 26, 29
 """Numbers of the lines, from 1, that hold these fields; the number of C planes is in the line after the symmetry."""
 
 NUM_LAMP_LINES = 6
@@ -37,14 +37,13 @@ def read_ldt(path: Path | str) -> IntensityTable:
     The axis x is gamma 0; the half-plane C 0 lies towards z, C 90 towards y, as in IES files of type C: nose down
     (pitch -90 degrees), C 0 points along the road and C 90 to its left. Half-planes that the file leaves out for
     symmetry are added. Intensities, which the file has in cd for 1000 lm, are multiplied by the flux of the first set
-    of lamps and by the file's conversion factor; outside the file's angles they are 0. The tilt during the measurement
-    is not corrected.
+    of lamps and by the file's conversion factor; outside the file's angles they are 0.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it ends early or goes on, has a word that is not a number, an unknown symmetry, counts that do
-            not fit it, too few angles or angles that do not grow, or an intensity that is negative or that of no lamp;
-            the message names path, line or field, and what was expected.
+            not fit it, too few angles or angles that do not grow, an intensity that is negative or that of no lamp, or
+            was measured with the lamp tilted; the message names path, line or field, and what was expected.
 
     Source: Stockmar, EULUMDAT, 1990 and 1998, after public descriptions of the format.
     """
@@ -65,6 +64,11 @@ def read_ldt(path: Path | str) -> IntensityTable:
     num_gammas = fields.whole("number of intensities in each C plane", 2)
     fields.seek(FACTOR_LINE - 1)
     factor = float(fields.take(1, "conversion factor")[0])
+    tilt = lines[TILT_LINE - 1].strip() if len(lines) >= TILT_LINE else ""
+    fields.seek(TILT_LINE - 1)
+    if tilt and (tilt_deg := float(fields.take(1, "tilt during measurement")[0])):
+        expected = "tilt during measurement: expected 0, angles from the lamp's own axis"
+        raise ValueError(f"{path}: line {TILT_LINE}: {expected}, got {tilt_deg:g} degrees")
     fields.seek(SETS_LINE - 1)
     num_sets = fields.whole("number of sets of lamps", 1)
     fields.seek(FLUX_LINE - 1)

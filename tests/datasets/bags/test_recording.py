@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 from pathlib import Path
 
 import cv2
@@ -68,6 +70,44 @@ def test_a_stamp_of_zero_gives_way_to_the_time_of_recording(tmp_path: Path, kind
         bag.image(START_NS, raw(images(1)[0]), 0)
         bag.image(START_NS + 9, raw(images(1)[0]), 5)
     assert [frame.timestamp_ns for frame in Recording(bag.path)] == [START_NS, 5]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_times_that_go_back(tmp_path: Path, kind: str) -> None:
+    """A little: the frame is refused, as in a video; by more than a second: another recording begins."""
+    steps = [0, 1, 3, 2, 4, 0, 1]
+    with BagWriter(tmp_path, kind) as bag:
+        for index, step in enumerate(steps):
+            stamp_ns = START_NS + step * STEP_NS + (index < 5) * 10**10
+            bag.image(START_NS + index, raw(images(1)[0]), stamp_ns)
+    with pytest.raises(ValueError, match=r"frame 3: expected a time from .* s on, that of the frame before, got "):
+        list(Recording(bag.path))
+    found = Recording(bag.path, on_error="skip")
+    assert [(frame.frame, frame.sequence) for frame in found] == [
+        *((index, "") for index in (0, 1, 2, 4)),
+        *((index, "frame 5") for index in (5, 6)),
+    ]
+    assert len(found.skipped) == 1
+
+
+def test_reading_a_bag_writes_nothing_beside_it(tmp_path: Path) -> None:
+    """SQLite makes two files beside one that is in the mode WAL, as rosbag2's resilient bags are."""
+    path = next(make_bag(tmp_path, "sqlite3", [raw(image) for image in images(2)]).glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = WAL")
+    before = sorted(path.parent.iterdir())
+    assert len(list(Recording(path))) == 2
+    assert sorted(path.parent.iterdir()) == before
+
+
+def test_a_bag_whose_recorder_was_killed_has_what_its_journal_holds(tmp_path: Path) -> None:
+    path = next(make_bag(tmp_path, "sqlite3", [raw(image) for image in images(2)]).glob("*.db3"))
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = WAL")
+        copy = "INSERT INTO messages SELECT id + 100, topic_id, timestamp, data FROM messages"
+        connection.execute(copy)
+        connection.commit()
+        assert Recording(path).num_frames == 4
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -145,6 +145,7 @@ FILES = {
     "a video of a billion frames": (".xml", video("<size>1000000000</size>"), "expected 1 to 200000 frames"),
     "a video that ends before it begins": (".xml", video("<start_frame>9</start_frame><size>0</size>"), "frames"),
     "a frame behind the end": (".xml", video(frame="7"), "track 0: frame: expected 0 to 2, got 7"),
+    "a shape of no frame": (".xml", video(frame=""), "track 0: frame: missing, expected the number of a frame"),
     "an image twice": (".xml", image().replace("</image>", '</image><image id="1" name="a.png"/>'), "is there twice"),
     "an id twice": (
         ".json",

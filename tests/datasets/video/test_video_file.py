@@ -122,6 +122,26 @@ def test_pixels_that_are_not_square_are_told(tmp_path: Path) -> None:
     assert not Video(make_video(tmp_path / "rounded.mp4", pixel_aspect=Fraction(200, 199))).notes
 
 
+def test_a_second_video_stream_is_told(tmp_path: Path) -> None:
+    """Cars' recorders put the cameras before and behind into one file."""
+    path = tmp_path / "both.mp4"
+    with av.open(str(path), "w") as container:
+        streams: list[Any] = [container.add_stream("mpeg4", rate=25) for _ in range(2)]
+        for stream in streams:
+            stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
+        for index in range(6):
+            for number, stream in enumerate(streams):
+                picture = av.VideoFrame.from_ndarray(np.full((72, 96, 3), 50 + 100 * number, np.uint8), format="rgb24")
+                picture.pts, picture.time_base = index, Fraction(1, 25)
+                container.mux(stream.encode(picture))
+        for stream in streams:
+            container.mux(stream.encode(None))
+    video = Video(path)
+    (note,) = video.notes
+    assert note.startswith(f"{path}: has 2 video streams, as of several cameras: the first one is read")
+    assert [round(float(frame.image.mean()), -1) for frame in video] == [50.0] * 6
+
+
 def test_more_than_eight_bits_become_sixteen(tmp_path: Path) -> None:
     path = make_video(tmp_path / "deep.mkv", codec="ffv1", pixels="yuv420p10le")
     frames = list(Video(path))

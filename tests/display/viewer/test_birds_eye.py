@@ -9,10 +9,18 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from foreglow.display.viewer.entities import FARTHEST_M, arc_m, fan_triangles, gap_sector_m, road_lines_m, track_bars
+from foreglow.display.viewer.entities import (
+    FARTHEST_M,
+    arc_m,
+    fan_triangles,
+    gap_sector_m,
+    map_entities,
+    road_lines_m,
+    track_bars,
+)
 from foreglow.geometry import Camera, Pose
 from foreglow.rays import RayCaster
-from foreglow.types import RoadAhead, Tracks
+from foreglow.types import Frame, RoadAhead, Tracks
 from tests.stand_ins import tracks_of
 
 MOUNT_M = np.array([2.0, 0.5, 1.2])
@@ -67,6 +75,15 @@ def test_without_a_deviation_there_is_a_line_across() -> None:
     np.testing.assert_allclose(bar[0] - bar[1], [0.0, 2 * 10 * 0.1 / math.hypot(1.0, 0.1)], atol=1e-12)
 
 
+def test_a_track_beyond_the_view_leaves_the_words_of_the_others_to_them() -> None:
+    tracks = tracks_of([(450, 390, 470, 410), (550, 390, 570, 410)], ranges_m=[300.0, 100.0])
+    frame = Frame(np.zeros((CAMERA.height_px, CAMERA.width_px), np.uint8), 0, camera=CAMERA)
+    places = dict(map_entities(frame, tracks, None, RayCaster()))["map/tracks/places"]
+    words = [str(each) for each in places.labels.as_arrow_array().to_pylist()]
+    assert len(places.positions.as_arrow_array()) == len(words) == 1
+    assert words[0].startswith(f"#{tracks.ids[1]} 100")
+
+
 def test_no_tracks() -> None:
     places, bars = bars_of(tracks_of([]))
     assert (places.shape, bars) == ((0, 2), [])
@@ -79,7 +96,8 @@ def test_a_gap_is_a_sector() -> None:
     azimuths = np.degrees(np.arctan2(sector[1:, 1], sector[1:, 0]))
     np.testing.assert_allclose(azimuths[[0, -1]], [5.0, 10.0])
     assert (np.diff(azimuths) > 0).all()
-    np.testing.assert_allclose(np.hypot(*gap_sector_m(np.radians([5.0, 10.0]), math.nan)[1]), FARTHEST_M)
+    for range_m in (math.nan, 2 * FARTHEST_M):
+        np.testing.assert_allclose(np.hypot(*gap_sector_m(np.radians([5.0, 10.0]), range_m)[1]), FARTHEST_M)
 
 
 def test_a_fan_fills_its_sector() -> None:

@@ -82,6 +82,15 @@ def test_an_image_without_loss_and_one_as_jpeg(path: Path) -> None:
     assert np.abs(difference).max() > 0
 
 
+def test_images_of_another_depth_within_a_sequence(path: Path) -> None:
+    sink = sink_into(path)
+    for number, image in enumerate((night_image(), night_image().astype(np.uint16) * 257)):
+        frame = Frame(image, number * PERIOD_NS, number)
+        sink.write(frame, result_of(frame, []))
+    sink.close()
+    assert len(Recording(path).values("/camera/image", "EncodedImage:blob")) == 2
+
+
 def test_a_frame_with_nothing_but_an_image(path: Path) -> None:
     frame = Frame(night_image(), 0)
     sink = sink_into(path)

@@ -21,7 +21,7 @@ from foreglow.datasets.bags.ros2_bag import METADATA, Ros2Bag, SqliteBag
 from foreglow.datasets.file_state import FileStates
 from foreglow.datasets.images import decode_image
 from foreglow.datasets.json_files import parse_json
-from foreglow.datasets.source import FileSource, OnError
+from foreglow.datasets.source import FileSource, OnError, TimeOrder
 from foreglow.files import check_file
 from foreglow.types import Frame, Image
 
@@ -156,12 +156,14 @@ NUM_TIMED = 20
 class Recording(FileSource):
     """The frames of an image topic, in the order of the file, grey.
 
-    Times are those in the headers of the messages, or the times of recording where a header has none. Frames of our
-    own recordings carry the same as when they were recorded: number, sequence, time, camera, motion and road; an image
-    without these, or with those of another time, is damage. Other recordings give neither camera nor motion: a
-    CameraInfo does not say where the camera is mounted in the vehicle. A damaged message or chunk, or a missing end is
-    an error, and so is a file that changes after it was opened; with `skip`, damaged parts are left out. A recording
-    whose name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk, and may grow.
+    Times are those in the headers of the messages, or the times of recording where a header has none; as in a `Video`,
+    a frame that is earlier than the one before is refused, or, if by more than a second, begins another sequence.
+    Frames of our own recordings carry the same as when they were recorded: number, sequence, time, camera, motion and
+    road; an image without these, or with those of another time, is damage. Other recordings give neither camera nor
+    motion: a CameraInfo does not say where the camera is mounted in the vehicle. A damaged message or chunk, or a
+    missing end is an error, and so is a file that changes after it was opened; with `skip`, damaged parts are left out.
+    A recording whose name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk, and may
+    grow.
 
     Attributes:
         path: File or folder.
@@ -209,13 +211,13 @@ class Recording(FileSource):
         return self._frames()
 
     def _frames(self) -> Iterator[Frame]:
-        index, latest_ns, is_ours, shift = -1, -1, False, TimeShift()
+        index, latest_ns, is_ours, shift, order = -1, -1, False, TimeShift(), TimeOrder()
         is_complete = not (self._container.truncation or is_partial(self.path))
         for image, record in pairs(self._read(), is_complete=is_complete):
             try:
                 if image is not None:
                     index, latest_ns, is_ours = index + 1, image.log_time_ns, is_ours or record is not None
-                    yield self._frame(image, record, index, shift if is_ours else None)
+                    yield self._frame(image, record, index, shift if is_ours else order)
                 elif record is not None and (is_ours or record.log_time_ns <= latest_ns):
                     raise ValueError(f"expected an image at the time of {FRAME_TYPE}, {record.log_time_ns} ns")
             except ValueError as error:
@@ -233,17 +235,19 @@ class Recording(FileSource):
         """As `_lose`, of a part of the container; an error says how to read the rest."""
         self._lose(f"{message}; --on-error skip reads what is there" if self.on_error == "stop" else message)
 
-    def _frame(self, image: Message, record: Message | None, index: int, shift: TimeShift | None) -> Frame:
-        """The frame of an image; `shift` checks times where images have a record, None where they have none."""
+    def _frame(self, image: Message, record: Message | None, index: int, times: TimeShift | TimeOrder) -> Frame:
+        """The frame of an image; `times` checks its time: a `TimeOrder` where images have no record."""
         decoded = self._decode(image.data)
         path, time_ns = f"{self.path}, {self.topic}, frame {index}", _time_ns(decoded, image)
-        if shift is None:
-            return Frame(decoded.image(), time_ns, frame=index, path=path)
+        if isinstance(times, TimeOrder):
+            grey = decoded.image()
+            times.take(index, time_ns)
+            return Frame(grey, time_ns, frame=index, sequence=times.sequence, path=path)
         if record is None:
             raise ValueError(f"expected {FRAME_TYPE} at its time, {image.log_time_ns} ns, found none")
         message = parse_json(bytes(record.data), FrameMessage, FRAME_TYPE)
         frame = message.frame_of(decoded.image(), path)
-        shift.check(message, time_ns)
+        times.check(message, time_ns)
         return frame
 
     def _found(self, name: str | None) -> Topic:

@@ -102,7 +102,10 @@ class SqliteBag:
             return None
 
     def _connect(self, max_bytes: int = MAX_BYTES) -> sqlite3.Connection:
-        connection = sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro", uri=True)
+        """A connection that writes nothing: of a bag with a journal of what comes next (WAL), SQLite would make one."""
+        has_more = any(self._path.with_name(self._path.name + end).exists() for end in ("-wal", "-journal"))
+        how = "mode=ro" if has_more else "mode=ro&immutable=1"
+        connection = sqlite3.connect(f"file:{quote(str(self._path))}?{how}", uri=True)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max_bytes)
         num_left = iter(range((MAX_STEPS + MAX_STEPS_A_BYTE * self._path.stat().st_size) // _STEPS_AT_ONCE))
         connection.set_progress_handler(lambda: next(num_left, None) is None, _STEPS_AT_ONCE)

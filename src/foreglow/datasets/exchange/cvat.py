@@ -168,7 +168,9 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
             if shape.tag not in SHAPES:
                 lost[f"element {shortened(shape.tag)} of a track"] += shape.tag != "attribute"
                 continue
-            frame = number(shape.get("frame"), f"{origin}: frame") or 0
+            frame = number(shape.get("frame"), f"{origin}: frame")
+            if frame is None:
+                raise ValueError(f"{origin}: frame: missing, expected the number of a frame")
             if (outside := shape.get("outside", "0")) not in ("0", "1"):
                 raise ValueError(f"{origin}: outside: expected 0 or 1, got {shortened(outside)}")
             if frame in seen:

@@ -13,7 +13,7 @@ from typing import Any
 
 from foreglow.datasets.file_state import FileStates
 from foreglow.datasets.images import MAX_SIDE_PX, check_size
-from foreglow.datasets.source import FileSource, OnError
+from foreglow.datasets.source import FileSource, OnError, TimeOrder
 from foreglow.datasets.video.containers.ends import hole, missing_bytes
 from foreglow.datasets.video.containers.transport import Losses, TransportLosses
 from foreglow.datasets.video.decoding import (
@@ -46,9 +46,6 @@ MAX_RATE_HZ = 1000
 _SQUARE = Fraction(1, 100)
 """Pixels that are so much wider than high, or less, are square: some recorders round."""
 
-_RESTART_NS = 1_000_000_000
-"""Where times go back by more than this, another recording begins; by less, the frame is refused."""
-
 _CONTAINER_OPTIONS = {"format_whitelist": ",".join(FILM_FORMATS)}
 
 _VAGUE = (errno.EINVAL, errno.EBUSY)
@@ -74,7 +71,8 @@ class Video(FileSource):
         num_frames: Number of frames by the container, which may be wrong by a few; None if unknown.
         pixel_aspect: Width of a pixel over its height, as the file says it, before any display matrix; 1 if it is
             square to a hundredth, or nobody says it.
-        notes: Lines for people, if need be: what is assumed of the times, and that pixels are not square.
+        notes: Lines for people, if need be: what is assumed of the times, that pixels are not square, and that
+            there are further video streams.
     """
 
     def __init__(self, path: Path | str, *, on_error: OnError = "stop") -> None:
@@ -112,6 +110,7 @@ class Video(FileSource):
             self._hole = hole(self.path, container.format.name)
             self.pixel_aspect = _pixel_aspect(stream)
             check_size(stream.codec_context.height, stream.codec_context.width, str(self.path))
+            num_others = len(video_streams(container)) - 1
         self.rate_hz = float(self._rate) if self._rate else None
         self.notes: list[str] = []
         if self.pixel_aspect != 1:
@@ -121,6 +120,11 @@ class Video(FileSource):
             self.notes.append(
                 f"{self.path}: a raw stream has no times: taken for {self.rate_hz:g} frames a second, {why}; speeds, "
                 "leads and delays follow from it (`ffmpeg -r RATE -i FILE -c copy OUT.mp4` gives it another)"
+            )
+        if num_others:
+            self.notes.append(
+                f"{self.path}: has {num_others + 1} video streams, as of several cameras: the first one is read "
+                "(`ffmpeg -i FILE -map 0:v:1 -c copy OUT.mp4` makes a file of the second)"
             )
         # Where bytes are missing in the middle, the container misses them at the end, too.
         self._lost = [*(self._hole.lines if self._hole else ()), *([self._truncation] if missing else [])]
@@ -147,7 +151,7 @@ class Video(FileSource):
         """All frames, up to where the container cannot be read."""
         from av.error import FFmpegError
 
-        index, latest, sequence, reached_ns, has_begun, failure = -1, (0, 0), "", 0, False, ""
+        index, order, reached_ns, has_begun, failure = -1, TimeOrder(), 0, False, ""
         try:
             with self._opened() as (container, stream):
                 whole = _Whole(container, self._hole.film if self._hole else None)
@@ -167,14 +171,12 @@ class Video(FileSource):
                     if is_damaged and (picture is None or self.on_error != "mark"):
                         self._refuse(f"{self.path}: frame {index}: expected an undamaged frame, decoder reports damage")
                         continue
-                    timestamp_ns = self._timestamp_ns(index, picture, latest)
-                    if index and timestamp_ns < latest[1] - _RESTART_NS:
-                        sequence = f"frame {index}"
-                    elif index and timestamp_ns < latest[1]:
-                        expected = f"expected a time from {latest[1] / 1e9:.6g} s on, that of the frame before"
-                        self._refuse(f"{self.path}: frame {index}: {expected}, got {timestamp_ns / 1e9:.6g} s")
+                    timestamp_ns = self._timestamp_ns(index, picture, order.latest)
+                    try:
+                        order.take(index, timestamp_ns)
+                    except ValueError as error:
+                        self._refuse(f"{self.path}: frame {index}: {error}")
                         continue
-                    latest = index, timestamp_ns
                     try:
                         frame = self._frame(index, picture, timestamp_ns, is_damaged=is_damaged)
                     except ValueError as error:
@@ -183,7 +185,7 @@ class Video(FileSource):
                         self._refuse(str(error))  # damage can change what one frame says of how it is shown
                         continue
                     has_begun = True
-                    yield dataclasses.replace(frame, sequence=sequence)
+                    yield dataclasses.replace(frame, sequence=order.sequence)
         except FFmpegError as error:
             failure = f"{self.path}: frame {index + 1}: cannot be read: {error.strerror}"
         change = self._states.change()

@@ -91,10 +91,11 @@ def gap_sector_m(borders_rad: Floats, range_m: float) -> Floats:
 
     Args:
         borders_rad: Shape (2,), right and left azimuth, as in `BeamCommand.gaps_rad`.
-        range_m: To what the gap is for; NaN, where unknown, makes it reach `FARTHEST_M`.
+        range_m: To what the gap is for; it reaches `FARTHEST_M` where that is unknown (NaN) or farther away.
     """
     right, left = borders_rad.tolist()
-    return np.vstack([np.zeros((1, 2)), arc_m(FARTHEST_M if math.isnan(range_m) else range_m, right, left)])
+    reach_m = FARTHEST_M if math.isnan(range_m) else min(range_m, FARTHEST_M)
+    return np.vstack([np.zeros((1, 2)), arc_m(reach_m, right, left)])
 
 
 def fan_triangles(num_corners: int) -> NDArray[np.uint32]:
@@ -275,7 +276,7 @@ def map_entities(frame: Frame, tracks: Tracks | None, beam: BeamCommand | None, 
         strips = [_flat(bar, "tracks") for bar in bars.bars_m]
         radii = rr.Radius.ui_points(_track_radii(tracks))
         entities.append(("map/tracks", rr.LineStrips3D(strips, colors=_track_colours(tracks), radii=radii)))
-        is_placed = tracks.is_plausible & np.isfinite(bars.places_m).all(axis=1)
+        is_placed = tracks.is_plausible & _is_near(bars.places_m)
         words = [track_words(tracks, index) for index in np.flatnonzero(is_placed).tolist()]
         labels = _named_places(_flat(bars.places_m[is_placed], "tracks"), words, TRACK_BGR, radius=4.0)
         entities.append(("map/tracks/places", labels))
@@ -372,5 +373,10 @@ def _named_places(points_m: Floats, words: list[str], colour: Colour, radius: fl
 
 def _flat(points_m: Floats, layer: str) -> Floats:
     """Points of the road plane, shape (N, 2), as points of the vehicle's frame, cut off beyond `FARTHEST_M`."""
-    near = points_m[~(np.hypot(points_m[:, 0], points_m[:, 1]) > 1.001 * FARTHEST_M)]
+    near = points_m[_is_near(points_m)]
     return np.column_stack([near, np.full(len(near), HEIGHTS_M[layer])])
+
+
+def _is_near(points_m: Floats) -> NDArray[np.bool_]:
+    """Which points, shape (N, 2), are shown from above: those up to `FARTHEST_M`, none of an unknown place."""
+    return np.asarray(np.hypot(points_m[:, 0], points_m[:, 1]) <= 1.001 * FARTHEST_M)

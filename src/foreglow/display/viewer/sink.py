@@ -89,7 +89,8 @@ class RerunSink:
         entities: list[Entity] = []
         if frame.sequence != self._sequence:
             entities += self._begin(frame)
-        assert self._tone is not None
+        if self._tone is None or not self._tone.fits(frame.image):
+            self._tone = Tone.of(frame.image)
         entities.append(image_entity(frame, self._tone, self._jpeg_quality))
         entities += box_entities(result.proposals, result.detections)
         if result.detections is not None:
