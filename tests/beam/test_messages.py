@@ -248,3 +248,5 @@ def test_what_cannot_be_encoded() -> None:
     for ramp_s in (-0.1, 3.1, math.nan):
         with pytest.raises(ValueError, match="ramp_s: expected 0 to 3 s"):
             encode_gaps(command_of(), 0, ramp_s)
+        with pytest.raises(ValueError, match="ramp_s: expected 0 to 3 s"):
+            CommandEncoder(ramp_s)

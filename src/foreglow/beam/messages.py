@@ -193,9 +193,12 @@ class CommandEncoder:
         Args:
             ramp_s: Brightening time for lamps that take the borders of gaps; at most 3 s.
             has_levels: False leaves out the levels, for cars that only take borders, with lamps of any kind.
+
+        Raises:
+            ValueError: If the ramp is not within 0 to 3 s.
         """
         self.counter = 0
-        self._ramp_s = ramp_s
+        self._ramp_s = _checked_ramp_s(ramp_s)
         self._has_levels = has_levels
 
     def frames(self, command: BeamCommand) -> tuple[CanFrame, ...]:
@@ -235,14 +238,19 @@ def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = RAMP_S) -> C
     Raises:
         ValueError: If the ramp is not within 0 to 3 s, or the counter is outside 0..255.
     """
-    if not 0.0 <= ramp_s <= RAMPS_S[-1]:
-        raise ValueError(f"ramp_s: expected 0 to {RAMPS_S[-1]:g} s, got {ramp_s}")
+    ramp_s = _checked_ramp_s(ramp_s)
     borders, ranges_m = command.gaps_rad.tolist(), command.gap_ranges_m.tolist()
     gaps = _joined([_gap_codes(right, left, range_m) for (right, left), range_m in zip(borders, ranges_m, strict=True)])
     words = [right | left << 10 | range_code << 20 for right, left, range_code in gaps]
     words += [0] * (MAX_NUM_GAPS - len(words))
     header = _packed_header(command, counter, len(gaps))
     return _protected(GAPS_ID, header + _GAPS.pack(bisect_left(RAMPS_S, ramp_s), *words))
+
+
+def _checked_ramp_s(ramp_s: object) -> float:
+    if not isinstance(ramp_s, int | float) or not 0.0 <= ramp_s <= RAMPS_S[-1]:
+        raise ValueError(f"ramp_s: expected 0 to {RAMPS_S[-1]:g} s, got {ramp_s}")
+    return ramp_s
 
 
 MESSAGES: Mapping[str, Callable[[BeamCommand, int, float], tuple[CanFrame, ...]]] = MappingProxyType(

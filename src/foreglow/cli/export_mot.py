@@ -20,7 +20,7 @@ def export_mot(
     name: Annotated[str, option("NAME", "Name of the tracker in the files.")] = "foreglow",
     score: Annotated[bool, flag("--score", "Also print HOTA, IDF1 and CLEAR, computed by TrackEval.")] = False,
 ) -> None:
-    """Write the tracks of a run and the labelled lights as MOTChallenge files."""
+    """Write the tracks of a run and the labelled lights as MOTChallenge files, without tracks of doubtful light."""
     import importlib
 
     from foreglow.datasets import open_labelled

@@ -265,6 +265,8 @@ def test_a_broken_line_is_named(line: str, tmp_path: Path) -> None:
     [
         (".asc", "timestamps absolute", "timestamps  Relative", r"line 2: expected timestamps absolute, got relative"),
         (".asc", "base hex *timestamps absolute", " base hex timestamps relative", "line 2: expected timestamps abs"),
+        (".asc", "base hex *timestamps absolute", "timestamps relative\nbase hex", "line 2: expected timestamps abs"),
+        (".asc", "base hex *timestamps absolute", "timestamps relative base hex", "line 2: expected timestamps abs"),
         (".log", r"\(([\d.]+)\)", r"\1", r"line 1: expected a frame as a CAN log of the kind \.log"),
         (".log", r"#(\w{16})", r"#\g<1>00", r"line 1: expected a frame as a CAN log of the kind \.log"),
         (".log", "3A", "FFFFFFF3A", r"line 1: expected a frame as a CAN log of the kind \.log"),

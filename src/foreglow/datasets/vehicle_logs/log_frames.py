@@ -38,9 +38,9 @@ MAX_OBJECT_BYTES = 1 << 24
 """Largest object of a .blf, unpacked; Vector's containers have 128 KiB."""
 
 _BYTE_ORDER_MARK = codecs.BOM_UTF8.decode("latin-1")
-_RELATIVE = re.compile(
-    r"\s*base\s+\w+\s+timestamps\s+relative", re.IGNORECASE
-)  # each time counts from the event before
+_RELATIVE = re.compile(  # each time counts from the event before; on a line of its own, too, or before the base
+    r"\s*(base\s+\w+\s+)?timestamps\s+relative", re.IGNORECASE
+)
 _BASE = re.compile(r"\s*base\s", re.IGNORECASE)
 _KNOWN_BASE = re.compile(r"\s*base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"^(\s*\d+),(?=\d+\s)")  # of a time
