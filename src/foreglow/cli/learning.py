@@ -283,14 +283,15 @@ def _check_boxes(model: Path, configuration: PipelineConfig) -> None:
     Raises:
         ValueError: If they are others, on which all that it knows would be lost.
     """
-    from foreglow.config import PRESETS
-    from foreglow.lab.learning.training_run import CONFIG, training_configuration
+    from foreglow.config import PRESETS, read_config
+    from foreglow.lab.learning.training_run import CONFIG
 
     known: PipelineConfig | None
     if str(model) in PRESETS:
         known, wanted = PRESETS[str(model)], f"--preset {model}"
     else:
-        known, wanted = training_configuration(model), f"--config {model.with_name(CONFIG)}"
+        file = model.with_name(CONFIG)  # also beside a model of another name, as a checkpoint that was kept
+        known, wanted = read_config(file) if file.is_file() else None, f"--config {file}"
     if known is not None and configuration.proposals != known.proposals:
         raise ValueError(f"train: expected {wanted} with --from {model}, which knows the boxes of these proposals only")
 
