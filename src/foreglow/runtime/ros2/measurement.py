@@ -153,7 +153,7 @@ class Network:
         """Sends `frame` until the network has answered it `num_frames` times.
 
         Raises:
-            TimeoutError: If that takes more than a minute.
+            TimeoutError: If that takes more than `START_S`.
         """
         numbers = itertools.count()
         end_s, done = time.monotonic() + START_S, 0
