@@ -97,9 +97,10 @@ def _check_own_model(config: Path, model: Path | None) -> None:
         ValueError: If there is another one beside it.
     """
     from foreglow.files import file_digest
+    from foreglow.own_folders import TRAINING
 
     own = config.with_name("model.onnx")
-    is_trainings = config.name == "config.toml" and own.is_file() and config.with_name("recipe.toml").is_file()
+    is_trainings = config.name == "config.toml" and own.is_file() and config.with_name(TRAINING).is_file()
     if not is_trainings or model is None or not model.is_absolute() or own.resolve() == model.resolve():
         return
     if not model.is_file() or file_digest(model) != file_digest(own):

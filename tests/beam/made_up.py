@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from foreglow.beam.known_images import NUM_KNOWN
 from foreglow.config import GuardConfig
 from foreglow.geometry import Camera, Floats, Pose
+from foreglow.photometry import Headlamp, Headlamps, low_beam, read_headlamps
+from foreglow.photometry.matrix import LedGrid, grid_lamp
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, Image, Tracks, TrackState
 
 Floats32 = NDArray[np.float32]
@@ -65,6 +67,15 @@ class FakeLamps:
             leds = 20_000.0 * along[:, None, :, None] * across[None, :, None, :]
             tables.append(leds.reshape(len(along), len(across), -1).astype(np.float32))
         return tables[0], tables[1]
+
+
+def lamps_of(grid: LedGrid) -> Headlamps:
+    """Two lamps with these LEDs, where those that ship are."""
+    shipped = read_headlamps()
+    left, right = (
+        Headlamp(lamp.vehicle_from_lamp, grid_lamp(low_beam(), grid)) for lamp in (shipped.left, shipped.right)
+    )
+    return Headlamps("made up", left, right)
 
 
 def camera(distortion: tuple[float, float, float, float, float] = (-0.07, 0.015, 1e-4, -2e-5, 0.0)) -> Camera:

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from foreglow.beam.dimming import FARTHEST_M, Dimmer, Ramp
 from foreglow.beam.gaps import Gap
 from foreglow.geometry import Floats
-from foreglow.photometry import Headlamp, Headlamps, low_beam, read_headlamps
-from foreglow.photometry.matrix import LedGrid, grid_lamp
+from foreglow.photometry import read_headlamps
+from foreglow.photometry.matrix import LedGrid
+from tests.beam.made_up import lamps_of
 
 LAMPS = read_headlamps()
 LIMIT_LX = 0.03
@@ -146,8 +147,7 @@ def test_leds_finer_than_the_tables_directions_are_dimmed_as_well() -> None:
         reach_width_deg=0.8,
         reach_height_deg=0.15,
     )
-    left, right = (Headlamp(lamp.vehicle_from_lamp, grid_lamp(low_beam(), grid)) for lamp in (LAMPS.left, LAMPS.right))
-    levels = Dimmer(Headlamps("fine", left, right), LIMIT_LX).levels([Gap(-0.1, 0.1, 100.0, 200.0)])
+    levels = Dimmer(lamps_of(grid), LIMIT_LX).levels([Gap(-0.1, 0.1, 100.0, 200.0)])
     assert (levels * np.repeat([30_000.0, 20_000.0], 3)).max() <= 1.05 * LIMIT_LX * 100.0**2
 
 

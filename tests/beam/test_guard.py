@@ -19,11 +19,21 @@ from benchmarks import guard_sweep
 from foreglow.beam import guard as guard_module
 from foreglow.beam.guard import Guard, dimmed, united
 from foreglow.geometry import Floats, Pose, rotation
-from foreglow.photometry import Headlamp, Headlamps, low_beam, read_headlamps
-from foreglow.photometry.matrix import LedGrid, grid_lamp
+from foreglow.photometry import Headlamp, Headlamps, read_headlamps
+from foreglow.photometry.matrix import LedGrid
 from foreglow.types import BeamCommand, BeamMode, TrackState
 from tests.beam.guards import AHEAD, LAMPS, NOBODY, NUM_LEDS, assert_low, next_check, running, towards_cd, with_arrays
-from tests.beam.made_up import CAMERA, FRAME_NS, FakeLamps, box_around, frame_at, full, guard_config, tracks_of
+from tests.beam.made_up import (
+    CAMERA,
+    FRAME_NS,
+    FakeLamps,
+    box_around,
+    frame_at,
+    full,
+    guard_config,
+    lamps_of,
+    tracks_of,
+)
 
 # The sweep
 
@@ -52,11 +62,7 @@ def test_no_counter_example_with_leds_finer_than_the_guards_table() -> None:
         reach_width_deg=0.2,
         reach_height_deg=1.2,
     )
-    shipped = read_headlamps()
-    left, right = (
-        Headlamp(lamp.vehicle_from_lamp, grid_lamp(low_beam(), grid)) for lamp in (shipped.left, shipped.right)
-    )
-    outcome = guard_sweep.sweep(Headlamps("fine", left, right), SMALL)
+    outcome = guard_sweep.sweep(lamps_of(grid), SMALL)
     assert outcome.num_lit > 10
     # The sweep looks at too few directions to say which of such LEDs shine elsewhere.
     assert set(outcome.counter_examples) <= {"an LED that shines elsewhere is not dimmed"}

@@ -21,7 +21,8 @@ from foreglow.runtime.live import cameras
 from foreglow.runtime.live.cameras import CameraOptions, StreamCamera
 from foreglow.runtime.live.opening import open_live
 from foreglow.types import Frame
-from tests.datasets.video.test_video_file import make_shown, make_titled
+from tests.datasets.video.test_shown_pictures import make_shown
+from tests.datasets.video.test_video_file import make_titled
 from tests.runtime.live.test_sources import damaged_clip
 from tests.stand_ins import night_image
 

@@ -71,6 +71,11 @@ class ClosedLoop(ABC):
         """Ends the connection to the lamps."""
 
 
+def has_jumped(step_ns: int) -> bool:
+    """Whether a frame so long after the one before begins a time axis of its own, by `MAX_GAP_NS` or `MAX_DELAY_NS`."""
+    return not -MAX_DELAY_NS <= step_ns <= MAX_GAP_NS
+
+
 class Paced:
     """Replays another source's frames at their own timestamps, or faster; the clock runs at the same speed.
 
@@ -127,9 +132,9 @@ class Paced:
         """
         sequence, latest_ns = None, 0
         for frame in self._source:
-            has_jumped = not -MAX_DELAY_NS <= frame.timestamp_ns - latest_ns <= MAX_GAP_NS
+            is_new = has_jumped(frame.timestamp_ns - latest_ns)
             latest_ns = frame.timestamp_ns
-            if frame.sequence != sequence or has_jumped or self.is_lossless:
+            if frame.sequence != sequence or is_new or self.is_lossless:
                 if sequence is not None and not self.is_lossless:
                     time.sleep(self._wait_s)  # by then the previous frame has been processed
                 sequence, self._zero_ns = frame.sequence, (frame.timestamp_ns, time.monotonic_ns())

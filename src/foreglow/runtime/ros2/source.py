@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from foreglow.plugins import words_of
 from foreglow.runtime.live import LiveSource
-from foreglow.runtime.live.sources import MAX_GAP_NS
-from foreglow.runtime.live.watch import MAX_DELAY_NS
+from foreglow.runtime.live.sources import has_jumped
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.input_messages import (
@@ -82,8 +81,8 @@ def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float 
     """Each frame with a new timestamp, as if it were taken now.
 
     All timestamps of a sequence are shifted by the same amount, so that the intervals between frames, and with them all
-    results, stay the same. A sequence begins `PAUSE_NS` after the previous one, or after it is asked for; so do frames
-    after a gap of more than `MAX_GAP_NS`, or behind which time has gone back by more than `MAX_DELAY_NS`, as in `live`.
+    results, stay the same. A sequence begins `PAUSE_NS` after the previous one, or after it is asked for; so does
+    a frame at which time `has_jumped`, as in `live`.
 
     Args:
         frames: The frames, in order of time within each sequence.
@@ -95,7 +94,7 @@ def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float 
         zero_ns: tuple[int, int] | None = None  # the same moment by the frames' times, and by the network's
         before_ns = 0
         for frame in sequence:
-            if zero_ns is None or not -MAX_DELAY_NS <= frame.timestamp_ns - before_ns <= MAX_GAP_NS:
+            if zero_ns is None or has_jumped(frame.timestamp_ns - before_ns):
                 zero_ns = frame.timestamp_ns, max(latest_ns, clock_ns()) + PAUSE_NS
             (first_ns, begin_ns), before_ns = zero_ns, frame.timestamp_ns
             passed_ns = frame.timestamp_ns - first_ns

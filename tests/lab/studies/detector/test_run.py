@@ -193,10 +193,15 @@ def test_another_model_or_other_data_make_a_row_anew(tmp_path: Path) -> None:
     assert again.key != rejecting.key
 
 
-def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Trainings, tmp_path: Path) -> None:
+def made_training(tmp_path: Path) -> tuple[Path, Path]:
+    """Data, and the folder of a training on them by the row of the paper."""
     data = make_data(tmp_path / "data")
     run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
-    folder = tmp_path / "first/models/paper"
+    return data, tmp_path / "first/models/paper"
+
+
+def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Trainings, tmp_path: Path) -> None:
+    data, folder = made_training(tmp_path)
     plan = DetectorPlan(rows=("paper",), given={"paper": folder}, may_train=False)
     (row,) = run_experiment(data, tmp_path / "second", plan).rows
     assert row.note.startswith("network paper, 2 of 300 epochs")
@@ -212,9 +217,7 @@ def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Training
 @pytest.mark.parametrize("section", ["classifier", "standing"])
 def test_another_configuration_of_a_given_training_makes_its_row_anew(section: str, tmp_path: Path) -> None:
     """The row of the former one was read again."""
-    data = make_data(tmp_path / "data")
-    run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
-    folder = tmp_path / "first/models/paper"
+    data, folder = made_training(tmp_path)
     plan = DetectorPlan(rows=("paper",), given={"paper": folder}, may_train=False)
     (before,) = run_experiment(data, tmp_path / "out", plan).rows
     used = read_config(folder / "config.toml")
@@ -230,9 +233,7 @@ def test_another_configuration_of_a_given_training_makes_its_row_anew(section: s
 @pytest.mark.usefixtures("trainings")
 def test_a_models_file_in_its_trainings_folder_tells_its_boxes(tmp_path: Path) -> None:
     """Only the folder was asked, so that the file was measured on boxes that it does not know."""
-    data = make_data(tmp_path / "data")
-    run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
-    model = tmp_path / "first/models/paper/model.onnx"
+    model = made_training(tmp_path)[1] / "model.onnx"
     DetectorPlan(rows=("paper",), given={"paper": model})
     with pytest.raises(ValueError, match=r"config\.toml: proposals: expected those of Baseline's preset"):
         DetectorPlan(rows=("baseline",), given={"baseline": model})
