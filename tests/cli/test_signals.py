@@ -207,6 +207,20 @@ DROPS = {
 
         Dying()
     """,
+    "and again before its hook has ended": """
+        begin = threading.Timer.start
+
+        def begin_slowly(timer):
+            begin(timer)
+            threading.Timer.start = begin
+            time.sleep(1)
+
+        class Dying:
+            __del__ = kill
+
+        threading.Timer.start = begin_slowly
+        Dying()
+    """,
 }
 
 
@@ -214,7 +228,7 @@ DROPS = {
 @pytest.mark.parametrize("drop", DROPS)
 def test_a_signal_that_is_dropped_ends_the_command_even_so(drop: str, number: signal.Signals) -> None:
     program = f"""
-import os, signal, sys, time, weakref
+import os, signal, sys, threading, time, weakref
 from foreglow.cli.signals import interruptible
 
 def kill(*_):

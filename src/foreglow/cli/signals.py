@@ -205,16 +205,24 @@ class _Handler:
                 others(dropped)
                 return
             self._last = self._last or signal.SIGINT
-            again = threading.Timer(AGAIN_S, self._send_again)
-            again.daemon = True
-            with contextlib.suppress(RuntimeError):  # no thread is to be had: it is remembered until the end
-                again.start()
+            while True:
+                try:
+                    self._begin_to_send_again()
+                    return
+                except KeyboardInterrupt:  # it came before the hook had ended, where it would be dropped, too
+                    pass
 
         sys.unraisablehook = hook
         try:
             yield
         finally:
             sys.unraisablehook = others
+
+    def _begin_to_send_again(self) -> None:
+        again = threading.Timer(AGAIN_S, self._send_again)
+        again.daemon = True
+        with contextlib.suppress(RuntimeError):  # no thread is to be had: it is remembered until the end
+            again.start()
 
     def _send_again(self) -> None:
         if self._last is not None and signal.getsignal(self._last) is not signal.SIG_DFL:  # the block has not ended
