@@ -18,6 +18,7 @@ from foreglow.files import to_json
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
 from foreglow.lab.simulation import Drive, DriveFrame, Scene, long_drives, with_beam, without_traffic
+from foreglow.lab.simulation.scenes.scenarios import mirrored
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
@@ -76,10 +77,11 @@ class Constant:
         return levels
 
 
-def test_light_at_an_eye_is_the_simulators() -> None:
+@pytest.mark.parametrize("driven", [scene(), mirrored(scene())], ids=["right", "left"])
+def test_light_at_an_eye_is_the_simulators(driven: Scene) -> None:
     """Base and LEDs apart give what the simulator sums up, with mis-aim, brightness and body motion."""
     levels = np.random.default_rng(3).uniform(size=(2, NUM_LEDS))
-    source = Drive(with_beam(scene(), "matrix"), "fast")
+    source = Drive(with_beam(driven, "matrix"), "fast")
     source.set_led_levels(levels)
     for known in source.frames():
         oncoming = known.vehicles[0]
@@ -111,6 +113,24 @@ def test_road_light_is_linear_and_less_far_away() -> None:
     assert leds.shape == (2, 2, NUM_LEDS)
     dark, bright = (OurLight(scene(ego=EgoSpec(brightness=one))).on_road(known)[1] for one in (0.5, 1.0))
     np.testing.assert_allclose(bright, 2.0 * dark, rtol=1e-6, atol=1e-12)
+
+
+def test_road_light_is_that_of_our_own_side() -> None:
+    """A mirror image of a drive has the same low beam on its own lane and verge; its LEDs are not mirrored."""
+    known = first_frame()
+    base, _ = OurLight(scene()).on_road(known)
+    other = mirrored(scene())
+    left, _ = OurLight(other).on_road(next(iter(Drive(with_beam(other, "matrix"), "fast").frames())))
+    np.testing.assert_allclose(left, base, rtol=0.02)
+
+
+@pytest.mark.parametrize("number", [None, 0])
+def test_our_lane_is_the_one_that_we_drive_on(number: int | None) -> None:
+    """Beside a median, with three lanes, it is as bright as on a road with one: it is straight ahead of us."""
+    road = RoadSpec(length_m=300.0, num_lanes=3, median="rails", median_m=3.0, shoulders_m=(0.8, 2.5))
+    wide = scene(road=road, ego=scene().ego.model_copy(update={"lane_number": number}), vehicles=())
+    base, _ = OurLight(wide).on_road(next(iter(Drive(with_beam(wide, "matrix"), "fast").frames())))
+    assert base[0] == pytest.approx(OurLight(scene()).on_road(first_frame())[0][0], rel=0.05)
 
 
 def test_lamps_of_our_own_are_those_that_shine(tmp_path: Path) -> None:

@@ -142,15 +142,16 @@ def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[
     """
     is_left = ego.traffic == "left"
     if ego.beam == "matrix":
-        lamps = [_matrix(lamp.matrix, is_left) for lamp in (headlamps.left, headlamps.right)]
+        lamps = [matrix_of(ego, lamp.matrix) for lamp in (headlamps.left, headlamps.right)]
         return lamps[0].table(led_levels[0]), lamps[1].table(led_levels[1])
     if ego.beam == "high":
         return (_high_table(is_left),) * 2
     return (_low_table(ego.low_beam_file, is_left, (ego.carpet, ego.stray)),) * 2
 
 
-def _matrix(lamp: MatrixLamp, is_left: bool) -> MatrixLamp:
-    return replace(lamp, base=lamp.base.mirrored) if is_left else lamp
+def matrix_of(ego: EgoSpec, lamp: MatrixLamp) -> MatrixLamp:
+    """One of our matrix lamps, with its low beam for the side of traffic that our car is made for."""
+    return replace(lamp, base=lamp.base.mirrored) if ego.traffic == "left" else lamp
 
 
 def ego_lamps(

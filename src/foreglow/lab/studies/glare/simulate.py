@@ -21,6 +21,7 @@ from foreglow.lab.evaluation.occurrence import Expectations, Moment, Sighting, i
 from foreglow.lab.simulation import DriveFrame, Scene
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.scenes.scene import EgoSpec
+from foreglow.lab.simulation.traffic.actors import matrix_of
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
 from foreglow.lab.studies.glare.loop import (
@@ -46,7 +47,7 @@ ROAD_DISTANCES_M = np.arange(40.0, 121.0, 10.0)
 """Where the light on the road is measured, arc lengths ahead of our rear axle."""
 
 VERGE_M = 0.75
-"""Distance of the point on the verge from the right edge of the carriageway."""
+"""Distance of the point on the verge from the edge of the carriageway on our side."""
 
 
 LIT_M = np.arange(0.0, 101.0, 5.0)
@@ -86,8 +87,8 @@ class OurLight:
         self._brightness = scene.ego.brightness
         self._scattering_per_m = scene.weather.scattering_per_m
         self._road = Road(scene.road)
-        edge_m = self._road.half_width_m
-        self._offsets_m = (-0.5 * edge_m, -edge_m - VERGE_M)
+        verge_m = -scene.road.mirror * (self._road.half_width_m + VERGE_M)
+        self._offsets_m = (_lane_m(scene), verge_m)
 
     def at_eye(self, known: DriveFrame, vehicle: VehicleTruth, levels: Floats) -> EyeLight:
         """The light at the driver's eye of `vehicle`, or at its mirrors where we follow it.
@@ -165,8 +166,16 @@ def seen_lamps(expected_lx: Floats, found_lx: float) -> NDArray[np.bool_]:
 
 def _aimed(headlamps: Headlamps, ego: EgoSpec) -> Headlamps:
     aim = Pose(np.zeros(3), rotation(float(np.radians(ego.yaw_aim_deg)), float(np.radians(ego.pitch_aim_deg))))
-    left, right = (Headlamp(lamp.vehicle_from_lamp @ aim, lamp.matrix) for lamp in (headlamps.left, headlamps.right))
+    left, right = (
+        Headlamp(lamp.vehicle_from_lamp @ aim, matrix_of(ego, lamp.matrix))
+        for lamp in (headlamps.left, headlamps.right)
+    )
     return dataclasses.replace(headlamps, left=left, right=right)
+
+
+def _lane_m(scene: Scene) -> float:
+    """Offset of the middle of our lane to the left of the road's centre line."""
+    return -scene.road.mirror * scene.road.lane_m(scene.ego.lane_number)
 
 
 RUN_IN_S = 1.5
@@ -337,8 +346,8 @@ class StreetLight:
     """The light of a drive's lamps on posts on our lane, as on a flat road without anything in between."""
 
     def __init__(self, scene: Scene) -> None:
-        edge_m = Road(scene.road).half_width_m
-        self._lane_m = -0.5 * edge_m
+        edge_m = scene.road.half_width_m
+        self._lane_m = _lane_m(scene)
         lamps = [lamp for lamp in scene.surroundings.street_lamps if lamp.intensity_cd > 0]
         sides = [1.0 if lamp.side == "left" else -1.0 for lamp in lamps]
         self._positions_m = np.array(
