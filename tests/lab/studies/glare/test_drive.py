@@ -88,6 +88,8 @@ def test_a_broken_run(changes: dict[str, Any], expected: str) -> None:
         ({"rate_hz": 0.0}, "rate_hz: expected a positive number"),
         ({"speeds_mps": np.zeros(3)}, "speeds_mps: expected shape"),
         ({"light_s": {1: math.nan}}, "light_s: expected finite"),
+        ({"gone_s": {2: math.inf}}, "gone_s: expected finite"),
+        ({"gone_s": {1: 0.0}}, "eyes: expected each vehicle once"),
         ({"eyes": approach().eyes * 2}, "eyes: expected each vehicle once"),
         ({"eyes": approach(duration_s=5.0).eyes}, "eyes: vehicle 1: expected frames"),
         ({"runs": {"low": PolicyRun.of("low", np.zeros((252, 2, 3)))}}, "runs: low: expected frames"),

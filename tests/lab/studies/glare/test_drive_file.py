@@ -37,7 +37,7 @@ def assert_same(one: Any, other: Any) -> None:
 @pytest.mark.parametrize("drive", [approach(), empty_drive()], ids=lambda one: one.name)
 def test_round_trip(drive: GlareDrive, tmp_path: Path) -> None:
     is_lit = np.arange(len(drive.times_s)) % 3 == 1
-    drive = dataclasses.replace(drive, pictures={"The approach": "a.mp4"}, is_lit=is_lit)
+    drive = dataclasses.replace(drive, pictures={"The approach": "a.mp4"}, is_lit=is_lit, gone_s={7: 0.25})
     write_glare_drive(tmp_path / "drive.npz", drive)
     assert_same(drive, read_glare_drive(tmp_path / "drive.npz"))
     assert [path.name for path in tmp_path.iterdir()] == ["drive.npz"]
@@ -58,6 +58,14 @@ def test_files_from_before_lit_roads_were_known(tmp_path: Path) -> None:
     del arrays["is_lit"]
     np.savez(tmp_path / "drive.npz", **arrays)
     assert not read_glare_drive(tmp_path / "drive.npz").is_lit.any()
+
+
+def test_files_from_before_it_was_known_who_had_passed(tmp_path: Path) -> None:
+    arrays = stored(tmp_path / "drive.npz")
+    known = json.loads(arrays["about"].tobytes())
+    del known["gone_s"]
+    np.savez(tmp_path / "drive.npz", **arrays | {"about": np.frombuffer(json.dumps(known).encode(), np.uint8)})
+    assert not read_glare_drive(tmp_path / "drive.npz").gone_s
 
 
 @pytest.mark.parametrize("missing", ["about", "times_s", "road.leds_lx", "eyes.0.base_lx", "runs.5.levels"])

@@ -78,6 +78,24 @@ def test_the_first_sight_far_away_counts_at_any_range() -> None:
 
 
 @pytest.mark.parametrize(
+    ("ranges_m", "in_sight"),
+    [
+        ([320.0, 300.0, 260.0, 200.0, 180.0], [True] * 5),  # from the drive's first frame on
+        ([math.nan, 390.0, 350.0, 200.0, 180.0], [False, True, True, True, True]),  # as soon as it is near enough
+        ([math.nan, math.nan, 350.0, 200.0, 180.0], [False, True, True, True, True]),
+    ],
+)
+def test_who_was_never_hidden_is_not_occluded(ranges_m: list[float], in_sight: list[bool]) -> None:
+    """Whatever was labelled before: its lamps, on an open road, or before the drive counts."""
+    one = dataclasses.replace(eye([100.0] * 5, [0.01] * 5, [0.5] * 5), is_in_sight=np.array(in_sight))
+    one = dataclasses.replace(one, ranges_m=np.array(ranges_m))
+    found = score_eye(drive_with(one, light_s={1: -1.0}), one, np.ones((5, 2, 1)), FMVSS_108)
+    assert math.isnan(found.lead_s)
+    assert not found.is_occluded
+    assert found.first_glare_s == 1.0
+
+
+@pytest.mark.parametrize(
     ("lux", "expected"),
     [
         ([0, 2, 2, 2, 2, 2], 5 / 4),

@@ -11,8 +11,10 @@ from foreglow.lab.simulation import Scene
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.scenes.surroundings import StreetLamp, SurroundingsSpec
 from foreglow.lab.studies.glare.drive import DriverEye, GlareDrive, PolicyRun, RoadLight
+from foreglow.lab.studies.glare.eyes import FMVSS_108
+from foreglow.lab.studies.glare.light import StreetLight
+from foreglow.lab.studies.glare.pooled import score_drive
 from foreglow.lab.studies.glare.road import lit_road, phase_light, phases, road_share, switching, wrong_dimming
-from foreglow.lab.studies.glare.simulate import StreetLight
 
 NUM = 20
 SEEN = range(6, 10)
@@ -71,6 +73,13 @@ def test_a_vehicle_that_stays_is_present_to_the_end() -> None:
     lit = phases(drive(light_s={3: 5.0, 4: 17.0}))  # a light without an eye
     assert frames_of(lit.is_passed) == [12, 13, 14, 15, 16]
     assert frames_of(lit.is_free) == [0, 1, 12, 13]
+
+
+def test_a_vehicle_that_had_passed_before_the_drive_is_not_there() -> None:
+    found = phases(drive(eyes=(), light_s={3: -2.0}, gone_s={3: -0.5}))
+    assert not found.is_present.any()
+    assert frames_of(found.is_passed) == frames_of(found.is_free) == list(range(2, NUM))
+    assert not score_drive(drive(eyes=(), light_s={}, gone_s={3: -0.5}), run(), FMVSS_108).is_empty
 
 
 def test_a_drive_without_vehicles_is_free() -> None:

@@ -1,8 +1,7 @@
-"""The closed loop on glare: its light against the simulator's own, its delays, and whole small experiments."""
+"""Whole small experiments on glare."""
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 import shutil
@@ -12,184 +11,27 @@ from typing import Never
 import numpy as np
 import pytest
 
-from foreglow.beam import Gap, GapWriter
+from foreglow.beam import BeamPolicy
 from foreglow.config import BeamConfig, PipelineConfig, preset
 from foreglow.files import to_json
-from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
-from foreglow.lab.simulation import Drive, DriveFrame, Scene, long_drives, with_beam, without_traffic
-from foreglow.lab.simulation.scenes.scenarios import mirrored
-from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
-from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
+from foreglow.lab.simulation import Scene, long_drives, without_traffic
+from foreglow.lab.simulation.scenes.scene import VehicleSpec
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
-from foreglow.lab.studies.glare.loop import Delays, Shone, both, closed_loops, exact_gaps
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
-from foreglow.lab.studies.glare.simulate import OurLight, Setting, seen_lamps, settings_of
+from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.parallel import Local
-from foreglow.photometry import NUM_LEDS, read_headlamps
+from foreglow.photometry import NUM_LEDS, Headlamps
 from foreglow.photometry.headlamps import SHIPPED
-from foreglow.types import BeamCommand, BeamMode, FrameResult, Proposals
+from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 from tests.lab.studies.detector_data import make_model
+from tests.lab.studies.glare_scenes import AHEAD, scene
 
 pytestmark = [pytest.mark.renderer, pytest.mark.slow]
-
-BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
-ONCOMING = VehicleSpec(timetable=((0.0, 150.0), (10.0, -50.0)))
-AHEAD = VehicleSpec(lane="own", timetable=((0.0, 60.0), (10.0, 260.0)))
-
-
-def scene(duration_s: float = 3 / 18, **changes: object) -> Scene:
-    """A car comes towards us, another drives ahead of us; 160x120 pixels."""
-    fields: dict[str, object] = {
-        "duration_s": duration_s,
-        "road": RoadSpec(length_m=300.0),
-        "surroundings": SurroundingsSpec(left=BARE, right=BARE, delineator_spacing_m=0.0),
-        "vehicles": (ONCOMING, AHEAD),
-        "ego": EgoSpec(
-            timetable=((0.0, 20.0), (10.0, 220.0)), brightness=1.2, yaw_aim_deg=0.4, pitch_aim_deg=-0.2, body_motion=1.0
-        ),
-        "camera": CameraSpec(width_px=160, height_px=120, focal_px=164.0),
-    }
-    return Scene(**(fields | changes))  # type: ignore[arg-type]
-
-
-@functools.cache
-def first_frame() -> DriveFrame:
-    return next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
-
-
-class Constant:
-    """A car that always wants the same levels."""
-
-    def __init__(self, levels: Floats) -> None:
-        self._levels = levels
-
-    def step(self, known: DriveFrame) -> tuple[FrameResult, BeamCommand]:
-        now_ns = known.frame.timestamp_ns
-        result = FrameResult(known.frame.frame, now_ns, Proposals(np.zeros((0, 4), np.int32)), None)
-        return result, BeamCommand(now_ns, BeamMode.GLARE_FREE, self._levels)
-
-    def lit(self, known: DriveFrame, levels: Floats) -> Floats:  # noqa: ARG002
-        return levels
-
-
-@pytest.mark.parametrize("driven", [scene(), mirrored(scene())], ids=["right", "left"])
-def test_light_at_an_eye_is_the_simulators(driven: Scene) -> None:
-    """Base and LEDs apart give what the simulator sums up, with mis-aim, brightness and body motion."""
-    levels = np.random.default_rng(3).uniform(size=(2, NUM_LEDS))
-    source = Drive(with_beam(driven, "matrix"), "fast")
-    source.set_led_levels(levels)
-    for known in source.frames():
-        oncoming = known.vehicles[0]
-        eye = OurLight(source.scene).at_eye(known, oncoming, levels)
-        assert eye.is_in_sight
-        assert eye.base_lx + (levels * eye.leds_lx).sum() == pytest.approx(oncoming.eye_lx["ego"], rel=1e-4)
-        x, y, _ = known.ego_pose.to_body(oncoming.eye_world_m)
-        assert (eye.range_m, eye.azimuth_rad) == pytest.approx((math.hypot(x, y), math.atan2(y, x)))
-
-
-def test_mirrors_of_a_vehicle_ahead_are_lit_from_behind() -> None:
-    known = first_frame()
-    eye = OurLight(scene()).at_eye(known, known.vehicles[1], np.ones((2, NUM_LEDS)))
-    assert eye.is_in_sight
-    assert known.vehicles[1].eye_lx["ego"] == 0.0  # its driver looks away from us
-    assert eye.base_lx > 0.1
-
-
-@pytest.mark.parametrize("is_seen", [[False, False], [True, False], [False, True], [True, True]])
-def test_seen_lamps_are_told_by_their_sum(is_seen: list[bool]) -> None:
-    expected_lx = np.array([0.4, 0.7])
-    assert seen_lamps(expected_lx, float(expected_lx @ is_seen) * 1.01).tolist() == is_seen
-
-
-def test_road_light_is_linear_and_less_far_away() -> None:
-    known = first_frame()
-    base, leds = OurLight(scene()).on_road(known)
-    assert base.shape == (2,)
-    assert leds.shape == (2, 2, NUM_LEDS)
-    dark, bright = (OurLight(scene(ego=EgoSpec(brightness=one))).on_road(known)[1] for one in (0.5, 1.0))
-    np.testing.assert_allclose(bright, 2.0 * dark, rtol=1e-6, atol=1e-12)
-
-
-def test_road_light_is_that_of_our_own_side() -> None:
-    """A mirror image of a drive has the same low beam on its own lane and verge; its LEDs are not mirrored."""
-    known = first_frame()
-    base, _ = OurLight(scene()).on_road(known)
-    other = mirrored(scene())
-    left, _ = OurLight(other).on_road(next(iter(Drive(with_beam(other, "matrix"), "fast").frames())))
-    np.testing.assert_allclose(left, base, rtol=0.02)
-
-
-@pytest.mark.parametrize("number", [None, 0])
-def test_our_lane_is_the_one_that_we_drive_on(number: int | None) -> None:
-    """Beside a median, with three lanes, it is as bright as on a road with one: it is straight ahead of us."""
-    road = RoadSpec(length_m=300.0, num_lanes=3, median="rails", median_m=3.0, shoulders_m=(0.8, 2.5))
-    wide = scene(road=road, ego=scene().ego.model_copy(update={"lane_number": number}), vehicles=())
-    base, _ = OurLight(wide).on_road(next(iter(Drive(with_beam(wide, "matrix"), "fast").frames())))
-    assert base[0] == pytest.approx(OurLight(scene()).on_road(first_frame())[0][0], rel=0.05)
-
-
-def test_lamps_of_our_own_are_those_that_shine(tmp_path: Path) -> None:
-    lamps = tmp_path / "lamps.toml"
-    text = SHIPPED.read_text().replace("num_columns = 28", "num_columns = 14")
-    lamps.write_text(text.replace("pitch_deg = 1.2", "pitch_deg = 2.4"))
-    headlamps = read_headlamps(lamps)
-    _, leds = OurLight(scene(), headlamps).on_road(first_frame())
-    assert headlamps.num_leds < NUM_LEDS
-    assert leds.shape == (2, 2, headlamps.num_leds)
-
-
-@functools.cache
-def loop(delays: Delays, num: int = 12) -> list[Shone]:
-    car = Constant(np.full((2, NUM_LEDS), 0.6))
-    return [shone for (shone,) in closed_loops(scene(num / 18), [car], delays, "fast")]
-
-
-@pytest.mark.parametrize("lamp_s", [0.0, 0.1])
-def test_light_follows_after_the_delays(lamp_s: float) -> None:
-    """The receiver wants four commands (one to compare with, three good ones), then the lamps' latency passes."""
-    shone = loop(Delays(camera_s=0.02, lamp_s=lamp_s))
-    first = next(place for place, one in enumerate(shone) if one.levels.any())
-    lit_s = 3 / 18 + 0.02 + lamp_s
-    assert first == math.ceil(lit_s * 18 - 1e-6)
-    assert shone[first].levels.max() == pytest.approx(0.6, abs=1 / 255)
-    assert shone[first].levels.max() <= 0.6
-
-
-def test_commands_may_take_longer_than_a_frame() -> None:
-    assert loop(Delays(camera_s=0.12, lamp_s=0.0))[-1].levels.any()
-
-
-def test_commands_that_come_too_late_end_in_low_beam() -> None:
-    assert not any(one.levels.any() for one in loop(Delays(camera_s=0.4, lamp_s=0.0), num=14))
-
-
-def test_images_are_lit_by_what_was_commanded() -> None:
-    """The picture of the closed loop brightens when the light comes."""
-    shone = loop(Delays(camera_s=0.02, lamp_s=0.0))
-    means = [float(one.known.frame.image.mean()) for one in shone]
-    first = next(place for place, one in enumerate(shone) if one.levels.any())
-    assert means[first] > max(means[:first]) + 0.3
-
-
-def test_exact_gaps_hold_the_body() -> None:
-    known = first_frame()
-    (gap,) = exact_gaps(known, known.vehicles[:1])
-    x, y, _ = known.ego_pose.to_body(known.vehicles[0].eye_world_m)
-    assert gap.right_rad < math.atan2(y, x) < gap.left_rad
-    assert gap.near_m < math.hypot(x, y) < gap.far_m
-
-
-def test_the_papers_lamps_obey_the_production_system_while_it_reports() -> None:
-    writer = GapWriter(BeamConfig(), read_headlamps())
-    production = writer.command(1, [Gap(0.0, 0.1, 50.0, 60.0)]).levels
-    provident = np.full((2, NUM_LEDS), 0.5)
-    assert both(production, True, provident) is production
-    assert (both(production, False, provident) <= provident).all()
 
 
 def config() -> PipelineConfig:
@@ -260,6 +102,42 @@ def test_a_policy_that_is_plugged_in_has_a_row_of_its_own(tmp_path: Path, monkey
     assert (setting_run.levels == 1.0).all()  # it is the plug-in whose settings are tried, too
 
 
+class Looking(BeamPolicy):
+    """High beam for an image with light in it."""
+
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        pass
+
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+        if not frame.image.any():
+            return BeamCommand.low(frame.timestamp_ns, NUM_LEDS)
+        return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, NUM_LEDS)))
+
+
+def test_other_settings_see_the_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A policy may look at them, such as the paper's for the brightest track."""
+    monkeypatch.setattr(driving, "RUN_IN_S", 0.1)
+    setting = Setting("margin", "deg", 2.0, 0.0, {"margin_deg": 2.0})
+    monkeypatch.setattr(driving, "settings_of", lambda _: (setting,))
+    drives = GlarePlan(quality="fast").drives(config().commanding(policy=f"{__name__}:Looking"))
+    driven = scene(0.1 + 3 / 18)
+    drive, _ = drives.driven(driven, "S00001", drives.frames(driven))
+    assert (drive.runs[setting.name].levels == 1.0).all()
+
+
+def test_who_passed_during_the_run_in_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is its light on our road to the end of the drive."""
+    monkeypatch.setattr(driving, "RUN_IN_S", 0.8)
+    monkeypatch.setattr(driving, "settings_of", lambda _: ())
+    passing = VehicleSpec(timetable=((0.0, 45.0), (10.0, -155.0)))
+    driven = scene(0.8 + 3 / 18, vehicles=(passing, AHEAD))
+    plan = GlarePlan(quality="fast")
+    drives = plan.drives(plan.delays.known_to(config()))
+    drive, _ = drives.driven(driven, "S00001", drives.frames(driven))
+    assert [eye.vehicle_id for eye in drive.eyes] == [1]
+    assert 0.3 < drive.gone_s[0] < 0.8
+
+
 def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each shines its own light, sees the image that belongs to it, and has a row called as its file."""
     monkeypatch.setattr(driving, "RUN_IN_S", 0.5)
@@ -283,6 +161,35 @@ def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest
     oracle.write_text("")
     with pytest.raises(ValueError, match=r"oracle\.toml: expected a file that is called unlike any other row"):
         GlarePlan(also=(oracle,)).others(cars)
+    latency = Path(shutil.copy(oracle, tmp_path / "latency 0.toml"))
+    with pytest.raises(ValueError, match=r"latency 0\.toml: expected a file that is called unlike any other row"):
+        GlarePlan(also=(latency,)).others(cars)
+
+
+def test_all_cars_have_the_same_lamps(tmp_path: Path) -> None:
+    """The light of every row is computed with those of ours."""
+    shutil.copy(SHIPPED, tmp_path / "lamps.toml")
+    other = tmp_path / "other.toml"
+    other.write_text('[beam]\nheadlamps = "lamps.toml"\n')
+    with pytest.raises(ValueError, match=r"other\.toml: beam\.headlamps: expected None, .* got .*lamps\.toml"):
+        GlarePlan(also=(other,)).others(config())
+
+
+def test_scenes_in_which_there_is_never_light_are_refused(tmp_path: Path) -> None:
+    """Too slow for a guard or the lamps, even if it is another car's, or between two pairs alone."""
+    strict = tmp_path / "strict.toml"
+    strict.write_text("[guard]\nmax_gap_s = 0.05\n")
+    patient = config().model_copy(update={"guard": config().guard.model_copy(update={"max_gap_s": 5.0})})
+    for driven, car, also, limit in (
+        (scene(rate_hz=4.0), config(), (), "0.2 s .* got 4 Hz with up to 0.25 s"),
+        (scene(rate_hz=4.0), patient, (), "0.2 s .* got 4 Hz"),
+        (scene(rate_hz=8.0, pair_s=0.04), config(), (), "0.2 s .* got 8 Hz with up to 0.21 s"),
+        (scene(), config(), (strict,), "0.05 s .* got 18 Hz"),
+    ):
+        plan = GlarePlan(quality="fast", also=also)
+        with pytest.raises(ValueError, match=rf"^S00001: rate_hz: expected at most {limit}"):
+            run_experiment(write_scenes_of(tmp_path, driven), car, plan, tmp_path / "out", progress=lambda *_: None)
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_papers_car_has_its_whole_chain(tmp_path: Path) -> None:

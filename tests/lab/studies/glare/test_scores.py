@@ -95,7 +95,7 @@ def test_the_order_of_drives_does_not_matter(results: GlareResults) -> None:
         assert one.oncoming.first == other.oncoming.first
         assert one.oncoming.all_bins.glare.dose_lxs == pytest.approx(other.oncoming.all_bins.glare.dose_lxs)
         assert one.present.verge.value == pytest.approx(other.present.verge.value)
-        assert one.drives == other.drives[::-1]
+        assert to_json(one.drives) == to_json(other.drives[::-1])  # a lead may be NaN
     assert typical_drives(results) == typical_drives(turned)
 
 

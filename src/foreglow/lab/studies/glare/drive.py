@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from foreglow.datasets.images import NPY_ERRORS, npy_words
 from foreglow.datasets.json_files import Record, parse_json
@@ -173,11 +174,12 @@ class GlareDrive:
         eyes: One for each other driver; their ids differ.
         runs: What was shone, by the policy's name.
         light_s: By vehicle id, when its first light is labelled, be it a reflection; without entry, never.
+        gone_s: By vehicle id, when it was last in range, of those that had passed before the first frame: no eyes.
         is_lit: Shape (T,), whether lamps on posts light the road; an empty array becomes False throughout.
         pictures: Pictures or videos of the drive, by caption: paths relative to the folder of the report.
 
     Raises:
-        ValueError: If frames or LEDs differ in number, times do not grow, or an id is there twice.
+        ValueError: If frames or LEDs differ in number, times do not grow or are not finite, or an id is there twice.
     """
 
     name: str
@@ -189,6 +191,7 @@ class GlareDrive:
     road: RoadLight
     runs: Mapping[str, PolicyRun]
     light_s: Mapping[int, float] = field(default_factory=dict)
+    gone_s: Mapping[int, float] = field(default_factory=dict)
     is_lit: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
     pictures: Mapping[str, str] = field(default_factory=dict)
 
@@ -210,15 +213,16 @@ class GlareDrive:
         for what, found in parts:
             if found != shape:
                 raise ValueError(f"GlareDrive.{what}: expected frames, lamps and LEDs {shape}, got {found}")
-        if not np.isfinite(list(self.light_s.values())).all():
-            raise ValueError("GlareDrive.light_s: expected finite times, no entry for a vehicle that is never seen")
-        ids = [eye.vehicle_id for eye in self.eyes]
+        for name in ("light_s", "gone_s"):
+            if not np.isfinite(list(getattr(self, name).values())).all():
+                raise ValueError(f"GlareDrive.{name}: expected finite times, no entry for a vehicle that has none")
+        ids = [*(eye.vehicle_id for eye in self.eyes), *self.gone_s]
         if len(set(ids)) < len(ids):
             raise ValueError(f"GlareDrive.eyes: expected each vehicle once, got {ids}")
         for name, run in self.runs.items():
             if run.name != name:
                 raise ValueError(f"GlareDrive.runs: expected {name!r} to be called that, its name is {run.name!r}")
-        for name in ("runs", "light_s", "pictures"):
+        for name in ("runs", "light_s", "gone_s", "pictures"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         object.__setattr__(self, "eyes", tuple(self.eyes))
 
@@ -253,6 +257,7 @@ class _About(Record):
     eyes: tuple[_Eye, ...]
     runs: tuple[str, ...]
     light_s: dict[str, float]
+    gone_s: dict[str, float] = Field(default_factory=dict)  # without it: from before these were known
     pictures: dict[str, str]
 
 
@@ -270,6 +275,7 @@ def write_glare_drive(path: Path, drive: GlareDrive) -> None:
         "eyes": [{name: getattr(eye, name) for name in _Eye.model_fields} for eye in drive.eyes],
         "runs": list(drive.runs),
         "light_s": {str(vehicle_id): float(time_s) for vehicle_id, time_s in drive.light_s.items()},
+        "gone_s": {str(vehicle_id): float(time_s) for vehicle_id, time_s in drive.gone_s.items()},
         "pictures": dict(drive.pictures),
     }
     text = json.dumps(about, allow_nan=False).encode()
@@ -315,7 +321,8 @@ def read_glare_drive(path: Path) -> GlareDrive:
             eyes=tuple(eyes),
             road=RoadLight(**part("road", _ROAD_ARRAYS)),
             runs={name: PolicyRun(name, **part(f"runs.{index}", _RUN_ARRAYS)) for index, name in enumerate(about.runs)},
-            light_s={_vehicle_id(key): time_s for key, time_s in about.light_s.items()},
+            light_s={_vehicle_id("light_s", key): time_s for key, time_s in about.light_s.items()},
+            gone_s={_vehicle_id("gone_s", key): time_s for key, time_s in about.gone_s.items()},
             is_lit=arrays.get("is_lit", np.zeros(0, np.bool_)),  # without it: from before lit roads were known
             pictures=about.pictures,
         )
@@ -346,11 +353,11 @@ def _array(arrays: dict[str, NDArray[Any]], name: str, path: Path) -> NDArray[An
     return arrays[name]
 
 
-def _vehicle_id(key: str) -> int:
+def _vehicle_id(field_name: str, key: str) -> int:
     try:
         return int(key)
     except ValueError:
-        raise ValueError(f"about.light_s: expected vehicle ids, got {key!r}") from None
+        raise ValueError(f"about.{field_name}: expected vehicle ids, got {key!r}") from None
 
 
 def _shone_lx(base_lx: Floats, leds_lx: NDArray[np.float32], levels: ArrayLike) -> Floats:

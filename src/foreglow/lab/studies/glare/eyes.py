@@ -131,8 +131,9 @@ class EyeScore:
     Attributes:
         is_oncoming: Whether it comes towards us.
         lead_s: From its first labelled light to the first sight of us; positive in an occluded approach, NaN without
-            either. Light is labelled in our camera's images, sight is from the eye to our lamps: on an open road they
-            may differ by a frame, so a lead of one frame says little.
+            either, and where nothing was in between before: the eye sees us in the drive's first frame, or as soon as
+            it has a range, as on an open road when it comes near enough. Light is labelled in our camera's images,
+            sight is from the eye to our lamps: they may differ by a frame, so a lead of one frame says little.
         bins: Glare by range, see `BINS`.
         first_glare_s: First glare moment, see `first_glare_s`, from the first sight within the reach of the limits;
             NaN without, or where the eye is in it from the drive's first frame: then the first sight was not seen.
@@ -168,7 +169,8 @@ def score_eye(drive: GlareDrive, eye: DriverEye, levels: ArrayLike, limits: Limi
     )
     sights = np.flatnonzero(eye.is_in_sight)
     sights_in_reach = np.flatnonzero(eye.is_in_sight & np.isfinite(limit_lx))
-    sight_s = drive.times_s[sights[0]] if len(sights) else math.nan
+    was_hidden = len(sights) > 0 and sights[0] > 0 and not math.isnan(eye.ranges_m[sights[0] - 1])
+    sight_s = drive.times_s[sights[0]] if was_hidden else math.nan
     return EyeScore(
         vehicle_id=eye.vehicle_id,
         kind=eye.kind,

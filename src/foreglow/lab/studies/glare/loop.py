@@ -200,20 +200,22 @@ def closed_loops(
 
     What is known of a frame is the same for all cars, but for the image; labels are those of the first car's.
     """
-    lamps = [_Lamps(delays, round(1e9 / scene.rate_hz)) for _ in cars]
+    lamps = [_Lamps(delays) for _ in cars]
     levels = [lamp.levels for lamp in lamps]
 
     def shining() -> Sequence[Floats]:
         return levels
 
-    for seen in side_by_side(with_beam(scene, "matrix"), shining, quality, headlamps, profile):
+    drives = side_by_side(with_beam(scene, "matrix"), shining, quality, headlamps, profile)
+    for number, seen in enumerate(drives, start=1):
         steps = [car.step(known) for car, known in zip(cars, seen, strict=True)]
         yield tuple(
             Shone(known, shone, lamp.in_force.gaps_rad, command, result)
             for known, shone, lamp, (result, command) in zip(seen, levels, lamps, steps, strict=True)
         )
+        next_ns = round(scene.time_s(number) * 1e9)
         for lamp, (_, command) in zip(lamps, steps, strict=True):
-            lamp.receive(command)
+            lamp.receive(command, next_ns)
         levels = [car.lit(known, lamp.levels) for car, known, lamp in zip(cars, seen, lamps, strict=True)]
 
 
@@ -225,18 +227,16 @@ class _Lamps:
         levels: Shape (2, L), what is shone in the next frame.
     """
 
-    def __init__(self, delays: Delays, period_ns: int) -> None:
+    def __init__(self, delays: Delays) -> None:
         self._camera_ns, self._lamp_ns = round(delays.camera_s * 1e9), round(delays.lamp_s * 1e9)
-        self._period_ns = period_ns
         self._encoder, self._receiver = CommandEncoder(), LampReceiver(ReceiverConfig(latency_s=delays.lamp_s))
         self._on_the_way: deque[tuple[int, BeamCommand]] = deque()
         self._sent: deque[tuple[int, BeamCommand]] = deque()
         self.in_force = BeamCommand.low(0, NUM_LEDS)
         self.levels = self.in_force.levels
 
-    def receive(self, command: BeamCommand) -> None:
-        """Takes the command for a frame, and goes on to the next frame."""
-        next_ns = command.timestamp_ns + self._period_ns
+    def receive(self, command: BeamCommand, next_ns: int) -> None:
+        """Takes the command for a frame, and goes on to the next frame, at `next_ns`."""
         self._on_the_way.append((command.timestamp_ns + self._camera_ns, command))
         while self._on_the_way and self._on_the_way[0][0] <= next_ns:
             arrival_ns, arrived = self._on_the_way.popleft()

@@ -71,7 +71,7 @@ def score_drive(drive: GlareDrive, run: PolicyRun, limits: Limits) -> DriveScore
     return DriveScore(
         drive=drive.name,
         scenario=drive.scenario,
-        is_empty=not drive.eyes and not drive.light_s,
+        is_empty=not (drive.eyes or drive.light_s or drive.gone_s),
         eyes=tuple(score_eye(drive, eye, run.levels, limits) for eye in drive.eyes),
         present=phase_light(drive, run, when.is_present),
         passed=phase_light(drive, run, when.is_passed),

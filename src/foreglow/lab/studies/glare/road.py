@@ -42,7 +42,7 @@ class Phases:
     """When other vehicles matter to us. Frames slower than `MIN_SPEED_MPS`, or on lit roads, are in none.
 
     A vehicle is there from its first labelled light, or the first frame in which it sees us, to the last frame with a
-    range; where that is the drive's last frame, or a range was never known, to the end.
+    range, be it before the drive's first; where that is the drive's last frame, or a range was never known, to the end.
 
     Attributes:
         is_present: Shape (T,), whether a vehicle is there.
@@ -160,8 +160,11 @@ def _visits(drive: GlareDrive) -> list[tuple[float, float]]:
     """From when to when each vehicle is there, seconds; see `Phases`."""
     eyes = {eye.vehicle_id: eye for eye in drive.eyes}
     visits = []
-    for vehicle_id in sorted(eyes.keys() | drive.light_s.keys()):
+    for vehicle_id in sorted(eyes.keys() | drive.light_s.keys() | drive.gone_s.keys()):
         begin_s, end_s = drive.light_s.get(vehicle_id, math.inf), math.inf
+        if vehicle_id in drive.gone_s:
+            end_s = drive.gone_s[vehicle_id]
+            begin_s = min(begin_s, end_s)
         if vehicle_id in eyes:
             sights = np.flatnonzero(eyes[vehicle_id].is_in_sight)
             ranged = np.flatnonzero(~np.isnan(eyes[vehicle_id].ranges_m))

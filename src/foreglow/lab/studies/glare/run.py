@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from pydantic import Field
 
+from foreglow.beam.receiver import ReceiverConfig
 from foreglow.config import FrozenModel, PipelineConfig, config_to_toml, read_config
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.datasets.simulated.files import sequence_name
@@ -82,13 +83,20 @@ class GlarePlan(FrozenModel):
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: If one is broken, or is called as another row.
+            ValueError: If one is broken, is called as another row, or has other headlamps: the light of all rows is
+                computed with those of `config`.
         """
         names = [path.stem for path in self.also]
+        taken = {*POLICY_ROWS, own_name(config), *(setting.name for setting in settings_of(self.delays))}
+        found = {}
         for path in self.also:
-            if path.stem in POLICY_ROWS or names.count(path.stem) > 1:
+            if path.stem in taken or names.count(path.stem) > 1:
                 raise ValueError(f"{path}: expected a file that is called unlike any other row, got {path.stem!r}")
-        return {path.stem: self.delays.known_to(read_config(path, config)) for path in self.also}
+            found[path.stem] = self.delays.known_to(read_config(path, config))
+            lamps, of_all = found[path.stem].beam.headlamps, config.beam.headlamps
+            if lamps != of_all:
+                raise ValueError(f"{path}: beam.headlamps: expected {of_all}, which all cars have, got {lamps}")
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +146,7 @@ def run_experiment(
     """
     config = plan.delays.known_to(config)
     wanted = named_scenes(scenes, plan)
-    _check_rates(wanted, config)
+    _check_rates(wanted, [config, *plan.others(config).values()])
     plan.drives(config).cars()  # what is wrong with one is known before there is a folder
     is_new, is_made = not (folder / PLAN).exists(), not folder.exists()
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
@@ -192,17 +200,20 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
     return named + empty
 
 
-def _check_rates(wanted: Sequence[NamedScene], config: PipelineConfig) -> None:
-    """Checks that no scene is so slow that our guard, for which frames are missing then, never gives light.
+def _check_rates(wanted: Sequence[NamedScene], configs: Sequence[PipelineConfig]) -> None:
+    """Checks that no scene is so slow that guards or lamps, for which frames are missing then, never give light.
 
     Raises:
         ValueError: If one is.
     """
+    longest_s = min([ReceiverConfig().deadline_s, *(config.guard.max_gap_s for config in configs)])
     for named in wanted:
-        if named.scene.rate_hz * config.guard.max_gap_s < 1.0:
+        scene = named.scene
+        step_s = max(scene.time_s(number + 1) - scene.time_s(number) for number in (0, 1))
+        if step_s > longest_s + 1e-9:
             raise ValueError(
-                f"{named.name}: rate_hz: expected at least {1.0 / config.guard.max_gap_s:g}, as the guard takes longer "
-                f"intervals for missing frames, got {named.scene.rate_hz:g}"
+                f"{named.name}: rate_hz: expected at most {longest_s:g} s from frame to frame, as guard and lamps take "
+                f"longer intervals for missing frames, got {scene.rate_hz:g} Hz with up to {step_s:g} s"
             )
 
 
