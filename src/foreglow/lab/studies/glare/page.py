@@ -223,10 +223,10 @@ def _notes(results: GlareResults) -> Iterator[str]:
     yield (
         "A driver's first glare moment is the time with light above the limit, and above "
         f"{MORE_THAN_LOW:g} times the low beam's, from the first sight until there is none for {SETTLED_S:g} s. "
-        "Shorter interruptions are bridged. "
+        "Shorter interruptions do not end it, and are not counted. "
         "Drivers who see us in the first frame of their drive are left out. At any range: the farthest limit is taken "
         "to go on; without that, to come into sight beyond it would count as dark. An approach is occluded if light of "
-        "the vehicle is labelled before its driver can see us."
+        "the vehicle is labelled before its driver can see us, and something stands in between, not the distance alone."
     )
     yield (
         "A vehicle is present from its first labelled light, or first sight of us, until it has passed. Frames below "
