@@ -151,6 +151,7 @@ def test_what_is_shallow_and_short_is_a_question() -> None:
     found = wrong_dimming(its, run(**asked, f9=0.0, f11=0.69, f15=0.8), is_free)
     assert (found.num_events, found.num_questions) == (4, 2)
     assert wrong_dimming(its, run(**asked, f6=0.9), is_free).num_questions == 0
+    assert wrong_dimming(its, run(f18=0.8, f19=0.8), is_free).num_questions == 0  # nobody knows how long it took
 
 
 def test_low_beam_has_no_event_but_is_dimmed_all_the_time() -> None:

@@ -33,7 +33,7 @@ AREAS = ("own lane", "verge")
 """What the light on the road is measured on, 40 to 120 m ahead: the order of the areas in `RoadLight`."""
 
 MAX_DRIVE_BYTES = 1 << 30
-"""Largest drive, unpacked: ten eyes and the road for an hour at 18 Hz."""
+"""Largest drive, unpacked: as many frames as a data set's drive may have, with a hundred eyes and 40 runs."""
 
 FORMAT = 1
 """Of the files of drives; a higher number means that earlier files can no longer be read."""

@@ -185,8 +185,9 @@ def score_eye(drive: GlareDrive, eye: DriverEye, levels: ArrayLike, limits: Limi
 def first_glare_s(lux: Floats, low_lx: Floats, limit_lx: Floats, sights: NDArray[np.intp], rate_hz: float) -> float:
     """Time with glare from the first of `sights` on, until there is none for `SETTLED_S`; 0 where it starts dark.
 
-    Glare is light above the limit and above `MORE_THAN_LOW` times the low beam; frames without it are not counted. That the first 0.5 s have to be dark,
-    not the first frame alone, is for eyes that see one lamp before the other, or a lamp's edge at first.
+    Glare is light above the limit and above `MORE_THAN_LOW` times the low beam; frames without it are not counted. That
+    the first 0.5 s have to be dark, not the first frame alone, is for eyes that see one lamp before the other, or a
+    lamp's edge at first.
 
     Args:
         lux: Shape (T,), at the eye.

@@ -228,10 +228,10 @@ def wrong_dimming(drive: GlareDrive, run: PolicyRun, is_free: NDArray[np.bool_])
 
 
 def _is_question(drive: GlareDrive, run: PolicyRun, is_full: NDArray[np.bool_], first: int) -> bool:
-    """Whether the dimming that begins in a frame is shallow and short."""
+    """Whether the dimming that begins in a frame is shallow and short; of one that the end cuts off nobody knows."""
     after = np.flatnonzero(is_full[first:])
     last = first + int(after[0]) if len(after) else len(is_full)
-    is_short = (last - first) / drive.rate_hz <= SHORT_S
+    is_short = len(after) > 0 and (last - first) / drive.rate_hz <= SHORT_S
     return is_short and bool((run.levels[first:last] >= 1.0 - SHALLOW - LEVEL_STEP).all())
 
 
