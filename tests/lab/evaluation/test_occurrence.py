@@ -40,6 +40,9 @@ def test_first_sight_is_when_a_lamp_is_seen() -> None:
 
 def test_who_is_in_sight_from_the_beginning_or_drives_ahead_was_not_hidden() -> None:
     assert not list(first_sights(moments([1.0, 1.0])))
+    nobody = Moment(-1 / 18, HERE, ())
+    assert not list(first_sights([nobody, *moments([1.0, 1.0])]))  # it comes from afar, in plain sight
+    assert list(first_sights([nobody, *moments([0.0, 1.0])]))
     assert not list(first_sights(moments([0.0, 1.0], yaw_rad=0.0)))
     assert not is_coming(HERE, vehicle(yaw_rad=0.2))
     assert is_coming(HERE, vehicle(yaw_rad=math.pi / 2))  # it crosses

@@ -153,17 +153,22 @@ class Expectations:
 
 
 def first_sights(moments: Sequence[Moment]) -> Iterator[tuple[int, float, float]]:
-    """Id, a* and t* of the coming vehicles that were hidden at first."""
+    """Id, a* and t* of the coming vehicles that were hidden at first: on the road, and not in sight.
+
+    One that comes in sight from where the simulator has no vehicles, far away or beyond the road's end, was not hidden.
+    """
     seen: set[int] = set()
-    for index, moment in enumerate(moments):
+    hidden: set[int] = set()
+    for moment in moments:
         for vehicle in moment.vehicles:
             lamps = [lamp for lamp in vehicle.lamps if not lamp.is_rear and lamp.visible_share >= MIN_VISIBLE]
             if lamps and vehicle.vehicle_id not in seen:
                 seen.add(vehicle.vehicle_id)
-                if index > 0 and is_coming(moment.ego_pose, vehicle):
+                if vehicle.vehicle_id in hidden and is_coming(moment.ego_pose, vehicle):
                     centre_m = np.mean([lamp.position_world_m for lamp in lamps], axis=0)
                     x, y, _ = moment.ego_pose.to_body(centre_m).tolist()
                     yield vehicle.vehicle_id, math.atan2(y, x), moment.time_s
+        hidden |= {vehicle.vehicle_id for vehicle in moment.vehicles} - seen
 
 
 def is_coming(ego_pose: Pose, vehicle: VehicleTruth) -> bool:
