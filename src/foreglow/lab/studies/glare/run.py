@@ -88,7 +88,7 @@ class GlarePlan(FrozenModel):
         """
         names = [path.stem for path in self.also]
         taken = {*POLICY_ROWS, own_name(config), *(setting.name for setting in settings_of(self.delays))}
-        found = {}
+        found: dict[str, PipelineConfig] = {}
         for path in self.also:
             if path.stem in taken or names.count(path.stem) > 1:
                 raise ValueError(f"{path}: expected a file that is called unlike any other row, got {path.stem!r}")
