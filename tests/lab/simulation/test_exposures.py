@@ -30,15 +30,19 @@ from foreglow.lab.simulation.camera.profile import (
     EncoderSpec,
     ExposureSpec,
     ImagerSpec,
+    LensSpec,
+    StreakSpec,
+    VeilSpec,
     ViewSpec,
     read_profile,
 )
 from foreglow.lab.simulation.drive import DriveCamera, camera_of
+from foreglow.lab.simulation.drive import _imager as imager_of
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.shares import box_shares
 from foreglow.lab.simulation.light.render import QUALITIES
 from foreglow.lab.simulation.moment import Moments
-from foreglow.lab.simulation.scenes.scene import VehicleSpec
+from foreglow.lab.simulation.scenes.scene import SensorSpec, VehicleSpec
 from foreglow.lab.simulation.variants import AS_IT_IS, Variant, draw_variants
 from foreglow.parallel import Local
 from foreglow.photometry import read_headlamps
@@ -187,6 +191,16 @@ def test_a_variant_of_our_light_is_a_multiple_of_its_layer() -> None:
     light = changed.by_source()
     np.testing.assert_allclose(light[4], 0.5 * night_light()[4], atol=2e-5)
     np.testing.assert_allclose(light[:4], night_light()[:4], atol=2e-5)
+
+
+def test_no_variant_scatters_more_light_than_there_is() -> None:
+    """Whatever its lens: the exact one with a wide middle, or a windscreen with strong streaks."""
+    starry = LensSpec(veils=(VeilSpec(share=0.1),), streaks=(StreakSpec(share=0.2),) * 4)
+    wide = lit().model_copy(update={"sensor": SensorSpec(middle_share=0.9, tail_share=0.1)})
+    for given, profile in ((lit(), OWN.model_copy(update={"lens": starry})), (wide, None)):
+        imager = imager_of(given, camera_of(given.camera), profile, Variant(veil=4.0))
+        seen = imager.optics.spread(np.ones((given.camera.height_px, given.camera.width_px), np.float32))
+        assert 0.0 < seen.min() <= seen.max() < 1.1
 
 
 def test_variants_are_drawn_by_their_own_number() -> None:

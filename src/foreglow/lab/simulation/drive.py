@@ -18,7 +18,7 @@ from foreglow.datasets.simulated.shares import BoxShares, load_arrow
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.exposure import Exposure, Imager
 from foreglow.lab.simulation.camera.imager import ElectronImager
-from foreglow.lab.simulation.camera.profile import CameraProfile
+from foreglow.lab.simulation.camera.profile import MAX_SCATTERED, CameraProfile
 from foreglow.lab.simulation.camera.sensor import Sensor
 from foreglow.lab.simulation.camera.view import View
 from foreglow.lab.simulation.camera.windscreen import Windscreen
@@ -147,7 +147,7 @@ class DriveCamera:
 def _imager(scene: Scene, camera: Camera, profile: CameraProfile | None, variant: Variant) -> Imager:
     sensor = scene.sensor
     if variant.veil != 1.0:
-        tail = min(MAX_TAIL_SHARE, sensor.tail_share * variant.veil)
+        tail = min(MAX_TAIL_SHARE, 1.0 - sensor.middle_share, sensor.tail_share * variant.veil)
         sensor = sensor.model_copy(update={"tail_share": tail})
     if profile is None:
         return Sensor(sensor, camera, scene.seed)
@@ -160,9 +160,10 @@ def _imager(scene: Scene, camera: Camera, profile: CameraProfile | None, variant
 
 
 def _veiled(profile: CameraProfile, factor: float) -> CameraProfile:
-    """The profile with stronger or weaker veils, which together keep below half of the light."""
-    veils = profile.lens.veils
-    factor = min(factor, 0.5 / max(sum(veil.share for veil in veils), 1e-9))
+    """The profile with stronger or weaker veils, which together keep below half of the light, and streaks the rest."""
+    veils, streaks = profile.lens.veils, profile.lens.streaks
+    largest = min(0.5, MAX_SCATTERED - sum(streak.share for streak in streaks))
+    factor = min(factor, largest / max(sum(veil.share for veil in veils), 1e-9))
     changed = tuple(veil.model_copy(update={"share": veil.share * factor}) for veil in veils)
     return profile.model_copy(update={"lens": profile.lens.model_copy(update={"veils": changed})})
 
