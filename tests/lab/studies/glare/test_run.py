@@ -303,6 +303,9 @@ def test_scenes_come_from_a_split_or_its_file(tmp_path: Path) -> None:
     assert [one.name for one in named] == ["S00001", "S00002", "S00001-empty"]
     assert named == named_scenes(file, plan)
     assert named[2].scene == without_traffic(scene())
+    quiet = write_scenes_of(tmp_path / "quiet", without_traffic(scene()), scene(seed=5))
+    names = [one.name for one in named_scenes(quiet, GlarePlan(num_empty=2))]
+    assert names == ["S00001", "S00002", "S00002-empty"]  # the same drive would count twice
     with pytest.raises(FileNotFoundError, match=r"nowhere: no such file; expected the scenes\.jsonl"):
         named_scenes(tmp_path / "nowhere", plan)
     file.write_text(json.dumps({"sequence": 1}) + "\n")

@@ -51,7 +51,8 @@ class GlarePlan(FrozenModel):
 
     Attributes:
         num_scenes: How many of the scenes, from the first on; None for all.
-        num_empty: How many of these are also driven without traffic, to find dimming that nobody needs.
+        num_empty: How many of these are also driven without traffic, to find dimming that nobody needs; but for those
+            that have none: the same drive would count twice.
         quality: Of the renderer: `fast`, `training` or `fine`.
         paper_model: The paper's network, with which its row is its whole chain; None for our detector in it.
         also: Configurations of further cars, whose rows are called as the files.
@@ -197,7 +198,8 @@ def named_scenes(path: Path, plan: GlarePlan) -> list[NamedScene]:
         found = read_scenes(path / "scenes.jsonl" if path.is_dir() else path)[: plan.num_scenes]
     named = [NamedScene(sequence_name(number), scene) for number, scene in found]
     empty = [NamedScene(f"{whole.name}-empty", without_traffic(whole.scene)) for whole in named[: plan.num_empty]]
-    return named + empty
+    scenes = [whole.scene for whole in named]
+    return named + [each for each in empty if each.scene not in scenes]
 
 
 def _check_rates(wanted: Sequence[NamedScene], configs: Sequence[PipelineConfig]) -> None:
