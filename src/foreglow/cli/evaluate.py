@@ -126,7 +126,7 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     for line in compared.lines:
         typer.echo(line)
     examination = examine(labels, found, threshold, str(predictions))
-    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found))
+    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found), notes=compared.lines)
     if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(found.scores)):
         examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -28,7 +29,9 @@ def test_what_is_not_defined_is_a_dash(tmp_path: Path) -> None:
 def test_what_the_figures_are_of_is_said(tmp_path: Path) -> None:
     labels = split_labels({1: [light(1, 10, 10)], 2: []}, empty=[2])
     scored = predictions_of({1: [(5, 5, 15, 15, 0.9)], 7: [(5, 5, 15, 15, 0.9)]})
-    text = write_report(examine(labels, scored, 0.5, "x"), tmp_path / "scored", {}).read_text()
+    examination = dataclasses.replace(examine(labels, scored, 0.5, "x"), notes=("taken for the labels of x",))
+    text = write_report(examination, tmp_path / "scored", {}).read_text()
+    assert "\n- taken for the labels of x\n" in text
     assert (
         "2 images, score > 0.5; 1 image without predictions, counted as without boxes; predictions for 1 unknown image "
         "ignored."

@@ -140,7 +140,7 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
     page = Page(f"{examination.detector} on {examination.name}")
     if not examination.is_complete:
         page.text("Incomplete: the predictions are of a run that was interrupted, or has lost frames since.")
-    page.items(examination_lines(examination))
+    page.items([*examination.notes, *examination_lines(examination)])
     page.text("What every figure means: `docs/evaluation.md`.")
     _add_quality(page, examination)
     if examination.ranking is not None:
