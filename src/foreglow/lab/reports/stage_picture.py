@@ -56,7 +56,7 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     judged = proposer.judged(stages, image.shape[1])
     axes = next(panels)
     num_kept = sum(verdict == "kept" for _, verdict in judged)
-    num_still = num_kept - len(result.proposals)  # of stage 1's own filters the picture knows all, of this one nothing
+    num_still = num_kept - len(result.proposals)
     words = f", {num_still} of them stand still" if num_still else ""
     _show_working(axes, stages.blurred, f"{len(judged)} boxes: {num_kept} pass the filters{words}")
     for verdict, (words, colour) in VERDICTS.items():
