@@ -15,6 +15,7 @@ from foreglow.lab.reports.page import DASH, Figure, Page, Table, number
 from foreglow.lab.reports.run_figures import sequence_figure, stage_figure
 from foreglow.photometry import read_headlamps
 from foreglow.runs.recorded_run import RecordedRun, read_frames, read_run
+from foreglow.runs.tally import NUM_TIMES
 from foreglow.types import Frame, FrameResult, TrackState
 from foreglow.whole_files import write_atomic
 
@@ -91,6 +92,8 @@ def _page(run: RecordedRun) -> Page:
     _add_faults(page, run)
     _add_sequences(page, run)
     page.section("Run-time")
+    if run.summary.num_frames > NUM_TIMES:
+        page.text(f"The table is of the latest {NUM_TIMES} frames.")
     names = ("median", "p95", "p99")
     rows = [[stage, *(number(ms.get(name), 3) for name in names)] for stage, ms in run.summary.run_time_ms.items()]
     page.table(Table(["stage", *(f"{name}, ms" for name in names)], rows))
