@@ -124,6 +124,11 @@ def test_without_calibration_road_or_range_the_rest_is_drawn() -> None:
     assert len(columns_with(picture[:, CAMERA_WIDTH_PX:], GAP_BGR))
 
 
+def test_a_gap_for_something_far_beyond_the_map_is_drawn() -> None:
+    picture = VIEW.picture(frame_of(), gap_command(4.0, 6.0, 1e12))
+    assert len(columns_with(picture[:, CAMERA_WIDTH_PX:], GAP_BGR))
+
+
 def test_gaps_behind_the_camera_are_not_drawn_into_its_picture() -> None:
     picture = VIEW.picture(frame_of(), gap_command(100.0, 120.0))
     assert not len(columns_with(picture[:, :CAMERA_WIDTH_PX], GAP_BGR))

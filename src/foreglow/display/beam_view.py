@@ -310,7 +310,7 @@ class BeamView:
             for border_rad in borders_rad:
                 beyond = 2 * AHEAD_M * np.array([np.cos(border_rad), np.sin(border_rad)])
                 pen.line(shown, _on_map(np.stack([0.05 * beyond, beyond]), shown), GAP_BGR, 1.2)
-            if not np.isnan(range_m):
+            if range_m < 2 * AHEAD_M:  # neither unknown nor far beyond the map
                 middle_rad = borders_rad.mean()
                 dot_px = _on_map(range_m * np.array([[np.cos(middle_rad), np.sin(middle_rad)]]), shown)[0]
                 cv2.circle(shown, tuple(np.rint(dot_px).astype(int).tolist()), pen.px(6), GAP_BGR, -1, cv2.LINE_AA)
