@@ -167,7 +167,12 @@ def test_headlamps_that_are_gone_or_others_now(tmp_path: Path, lamps: str | None
 def test_a_pause_is_drawn_as_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
     """A command is known from its frame to the next one; with many gaps, they are drawn at once."""
     sheets: list[Any] = []
-    monkeypatch.setattr(run_figures, "png", lambda figure: sheets.append(figure) or b"")
+
+    def keep(figure: Any) -> bytes:
+        sheets.append(figure)
+        return b""
+
+    monkeypatch.setattr(run_figures, "png", keep)
     results = [made_up(number)[1] for number in (1, 2, 3, 40, 41)]
     run_figures.sequence_figure(results, 28)
     ranges, _, beam, leds = sheets[0].axes[1:5]

@@ -37,7 +37,12 @@ def test_boxes_are_kept_or_left_out_by_size_or_deviation() -> None:
 def test_what_stands_still_is_told_apart_from_what_the_filters_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     sheets: list[Any] = []
-    monkeypatch.setattr(stage_picture, "png", lambda figure: sheets.append(figure) or b"")
+
+    def keep(figure: Any) -> bytes:
+        sheets.append(figure)
+        return b""
+
+    monkeypatch.setattr(stage_picture, "png", keep)
     image = np.full((960, 1280), 10, np.uint8)
     image[300:330, 300:330] = 250
     frame, config = Frame(image, 0), preset("paper").changed("classifier", model=None)

@@ -205,4 +205,5 @@ def _usual_step_s(times_s: Floats) -> float:
 def _ends_s(times_s: Floats) -> Floats:
     """Until when the command of each frame is drawn; that of the last one for a usual step."""
     usual_s = _usual_step_s(times_s)
-    return times_s + np.clip(np.append(np.diff(times_s), usual_s), 0.0, LONGEST_STEPS * usual_s)
+    steps_s = np.clip(np.append(np.diff(times_s), usual_s), 0.0, LONGEST_STEPS * usual_s)
+    return np.asarray(times_s + steps_s, np.float64)

@@ -226,8 +226,9 @@ def _num_columns(run: RecordedRun) -> tuple[int | None, str]:
 
 def _said(error: Exception) -> str:
     """An error in words, with the path that an error of the system has for itself."""
-    named = isinstance(error, OSError) and error.filename is not None and error.strerror is not None
-    return f"{error.filename}: {error.strerror}" if named else f"{error}"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return f"{error}"
 
 
 def _figure_words(results: Sequence[FrameResult], *, has_leds: bool) -> str:
