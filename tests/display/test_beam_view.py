@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from foreglow.display.beam_view import AHEAD_M, ASIDE_M, CELLS, FAULT_BGR, GAP_BGR, BeamView, RoadLight, place_on_scale
+from foreglow.display.beam_view import (
+    AHEAD_M,
+    ASIDE_M,
+    CELLS,
+    FAULT_BGR,
+    GAP_BGR,
+    LIT_LED_BGR,
+    BeamView,
+    RoadLight,
+    place_on_scale,
+)
 from foreglow.display.overlay import TRACK_BGR, Picture
 from foreglow.geometry import Camera, Pose
 from foreglow.photometry import NUM_LEDS, illuminance_lx, read_headlamps
 from foreglow.types import BeamCommand, BeamMode, Frame, RoadAhead
+from tests.bombs import grid_headlamps
 from tests.stand_ins import night_image, tracks_of
 
 HEIGHT_PX = 540
@@ -95,10 +107,25 @@ def test_leds_are_drawn_as_the_driver_sees_them() -> None:
     assert rows.min() > 15
 
 
+def test_more_leds_than_pixels_are_drawn_all_the_same(tmp_path: Path) -> None:
+    file = tmp_path / "lamps.toml"
+    file.write_text(grid_headlamps("").replace("num_columns = 28", "num_columns = 300").replace("1.2", "0.1"))
+    lamps = read_headlamps(file)
+    full = BeamCommand(0, BeamMode.FULL, np.ones((2, lamps.num_leds)))
+    picture = BeamView(lamps, HEIGHT_PX).picture(frame_of(), full)
+    lit = (np.abs(picture[:, CAMERA_WIDTH_PX:].astype(int) - LIT_LED_BGR) < 10).all(axis=2)
+    assert lit.any(axis=0).sum() > 190  # of the 210 columns of both lamps
+
+
 def test_without_calibration_road_or_range_the_rest_is_drawn() -> None:
     command = gap_command(4.0, 6.0, np.nan)
     picture = VIEW.picture(frame_of(None), command)
     assert not len(columns_with(picture[:, :CAMERA_WIDTH_PX], GAP_BGR))
+    assert len(columns_with(picture[:, CAMERA_WIDTH_PX:], GAP_BGR))
+
+
+def test_a_gap_for_something_far_beyond_the_map_is_drawn() -> None:
+    picture = VIEW.picture(frame_of(), gap_command(4.0, 6.0, 1e12))
     assert len(columns_with(picture[:, CAMERA_WIDTH_PX:], GAP_BGR))
 
 

@@ -143,6 +143,12 @@ def test_flat_frames_have_a_tone(value: int) -> None:
     assert Tone.of(image).apply(image).shape == (64, 64)
 
 
+def test_a_black_first_frame_leaves_a_curve_for_what_follows() -> None:
+    curve = Tone.of(np.zeros((96, 128), np.uint16)).curve
+    dark, road, lamp = curve[[2, 100, 4000]].tolist()
+    assert dark < 50 < road < 200 < lamp
+
+
 def test_tone_is_for_one_depth() -> None:
     with pytest.raises(ValueError, match="one depth"):
         Tone.of(night_image()).apply(night_image(dtype=np.uint16))
@@ -164,6 +170,14 @@ def test_tracks_lie_around_their_boxes() -> None:
     assert (picture[160:280, 860:980] == plain[160:280, 860:980]).all()
     for x1, y1, x2, y2 in boxes:
         assert (picture[y1:y2, x1:x2] == plain[y1:y2, x1:x2]).all()
+
+
+def test_a_track_that_has_left_the_image_has_no_box() -> None:
+    frame = Frame(np.zeros((960, 1280), np.uint8), 0)
+    tracks = tracks_of([(1320, 10, 1340, 20), (10, -60, 30, -40)], [TrackState.CONFIRMED, TrackState.COASTING])
+    result = dataclasses.replace(result_of(frame, [], []), tracks=tracks)
+    plain = dataclasses.replace(result_of(frame, [], []), tracks=tracks_of([], []))
+    np.testing.assert_array_equal(annotate(frame, result)[:960], annotate(frame, plain)[:960])
 
 
 def test_words_of_a_track() -> None:

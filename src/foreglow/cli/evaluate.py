@@ -126,7 +126,7 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     for line in compared.lines:
         typer.echo(line)
     examination = examine(labels, found, threshold, str(predictions))
-    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found))
+    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found), notes=compared.lines)
     if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(found.scores)):
         examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):
@@ -173,15 +173,10 @@ def _table(quality: BoxQuality, title: str) -> Table:
     """The numbers of `quality`, with a dash for undefined ones, and the counts behind them."""
     from rich.table import Table
 
-    from foreglow.display.summary_lines import counted
+    from foreglow.lab.reports.evaluation_page import quality_words
     from foreglow.lab.reports.page import number
 
-    condition = f"score > {quality.threshold:g}" if quality.is_scored else "boxes without scores, all count"
-    caption = f"{counted(quality.num_images, 'image')}, {condition}"
-    if quality.num_missing:
-        caption += f"\n{counted(quality.num_missing, 'image')} without predictions, counted as without boxes"
-    if quality.num_unknown:
-        caption += f"\npredictions for {counted(quality.num_unknown, 'unknown image')} ignored"
+    caption = "\n".join(quality_words(quality))
     table = Table("figure", "value", "std", title=title, caption=caption, title_justify="left", caption_justify="left")
     table.columns[1].justify = "right"
     for name, value in (("precision", quality.precision), ("recall", quality.recall), ("F", quality.f1)):

@@ -285,7 +285,9 @@ class BeamView:
             x_px = np.rint(left_px + np.linspace(0, width_px, num_columns + 1)).astype(int)
             for row in range(num_rows):
                 for column in range(num_columns):
-                    cell = panel[y_px[row] : y_px[row + 1] - 1, x_px[column] : x_px[column + 1] - 1]
+                    top, left = y_px[row], x_px[column]
+                    bottom, right = max(y_px[row + 1] - 1, top + 1), max(x_px[column + 1] - 1, left + 1)
+                    cell = panel[top:bottom, left:right]
                     cell[:] = _mixed(DARK_LED_BGR, LIT_LED_BGR, float(levels[row, column]))
             for borders_rad in command.gaps_rad:
                 right_px, left_end_px = left_px + width_px * _places_across(lamp, borders_rad)
@@ -308,7 +310,7 @@ class BeamView:
             for border_rad in borders_rad:
                 beyond = 2 * AHEAD_M * np.array([np.cos(border_rad), np.sin(border_rad)])
                 pen.line(shown, _on_map(np.stack([0.05 * beyond, beyond]), shown), GAP_BGR, 1.2)
-            if not np.isnan(range_m):
+            if range_m < 2 * AHEAD_M:  # neither unknown nor far beyond the map
                 middle_rad = borders_rad.mean()
                 dot_px = _on_map(range_m * np.array([[np.cos(middle_rad), np.sin(middle_rad)]]), shown)[0]
                 cv2.circle(shown, tuple(np.rint(dot_px).astype(int).tolist()), pen.px(6), GAP_BGR, -1, cv2.LINE_AA)
@@ -359,7 +361,7 @@ def _mixed(dark: Colour, bright: Colour, share: float) -> Colour:
 
 
 def gap_outline_px(camera: Camera, borders_rad: Floats, range_m: float) -> Floats:
-    """The sides and the top of a gap in the camera's image, shape (N, 2), full-frame pixels; NaN outside its view."""
+    """The sides and the top of a gap in the camera's image, shape (N, 2), full-frame pixels; NaN behind it."""
     distance_m = UNKNOWN_RANGE_M if np.isnan(range_m) else range_m
     heights_m = camera.vehicle_from_camera.position_m[2] + distance_m * np.tan(
         np.radians(np.linspace(*GAP_ELEVATIONS_DEG, 12))

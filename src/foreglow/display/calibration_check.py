@@ -199,7 +199,7 @@ def draw_check(camera: Camera, image: Image, origin: str = "image", mask: NDArra
 
 def _project_directions(camera: Camera, directions_vehicle: ArrayLike) -> Floats:
     """Pixels, shape (..., 2), at which directions of shape (..., 3) in the vehicle's frame vanish; NaN outside."""
-    return _seen(camera, np.asarray(directions_vehicle, np.float64) @ camera.vehicle_from_camera.rotation)
+    return seen_px(camera, np.asarray(directions_vehicle, np.float64) @ camera.vehicle_from_camera.rotation)
 
 
 def _project_road(camera: Camera, ahead_m: ArrayLike, left_m: ArrayLike) -> Floats:
@@ -209,11 +209,14 @@ def _project_road(camera: Camera, ahead_m: ArrayLike, left_m: ArrayLike) -> Floa
         return np.full((*np.broadcast(ahead_m, left_m).shape, 2), np.nan)
     ahead, left = np.broadcast_arrays(np.asarray(ahead_m, np.float64), np.asarray(left_m, np.float64))
     points = np.stack([ahead + position_m[0], left + position_m[1], np.zeros_like(ahead)], -1)
-    return _seen(camera, camera.vehicle_from_camera.to_body(points))
+    return seen_px(camera, camera.vehicle_from_camera.to_body(points))
 
 
-def _seen(camera: Camera, points_camera: Floats) -> Floats:
-    """Their pixels; NaN half an image outside or more, and where the distortion folds back."""
+def seen_px(camera: Camera, points_camera: Floats) -> Floats:
+    """Pixels, shape (..., 2), of points of shape (..., 3) in the camera's frame.
+
+    NaN half an image outside or more, behind the camera, and where the distortion would fold them back into the image.
+    """
     pixels = camera.project(points_camera)
     size = np.array([camera.width_px, camera.height_px])
     is_near = np.asarray((np.abs(pixels - size / 2) < size).all(-1))

@@ -168,16 +168,15 @@ def _marks(result: FrameResult, measures: Measures, size_px: tuple[int, int]) ->
 
 
 def _track_marks(tracks: Tracks, measures: Measures, size_px: tuple[int, int]) -> list[_Mark]:
-    """The plausible tracks, outside the boxes that they follow."""
-    return [
-        _Mark(
-            _around(np.rint(tracks.boxes_xyxy_px[index]).astype(int).tolist(), measures, size_px, num_margins=2),
-            TRACK_BGR,
-            measures.bold_px if tracks.states[index] == TrackState.CONFIRMED else measures.thin_px,
-            track_text(tracks, index),
-        )
-        for index in np.flatnonzero(tracks.is_plausible).tolist()
-    ]
+    """The plausible tracks, outside the boxes that they follow; none of what has left the picture."""
+    marks = []
+    for index in np.flatnonzero(tracks.is_plausible).tolist():
+        box = np.rint(tracks.boxes_xyxy_px[index]).astype(int).tolist()
+        rectangle = _around(box, measures, size_px, num_margins=2)
+        if rectangle[0] < rectangle[2] and rectangle[1] < rectangle[3]:
+            line_px = measures.bold_px if tracks.states[index] == TrackState.CONFIRMED else measures.thin_px
+            marks.append(_Mark(rectangle, TRACK_BGR, line_px, track_text(tracks, index)))
+    return marks
 
 
 def track_text(tracks: Tracks, index: int) -> str:

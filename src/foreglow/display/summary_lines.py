@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from foreglow.plugins import printable
+
 if TYPE_CHECKING:
     from foreglow.runs.summary_file import BeamSummary, RunSummary
 
@@ -45,10 +47,12 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
         lines.append("any number of frames may be missing: parts of the file could not be read")
     if is_interrupted:
         lines.append("interrupted: the results are complete up to there")
-    if not out.is_dir():
-        return [*lines, f"look at {out}, such as in Foxglove"]
-    names = [path.name for path in sorted(out.iterdir()) if path.is_file()]
-    return [*lines, f"look in {out}: {', '.join(names)}"]
+    if out.is_dir():
+        names = [path.name for path in sorted(out.iterdir()) if path.is_file()]
+        lines.append(f"look in {out}: {', '.join(names)}")
+    else:
+        lines.append(f"look at {out}, such as in Foxglove")
+    return [printable(line) for line in lines]
 
 
 def beam_lines(beam: BeamSummary, num_frames: int) -> list[str]:

@@ -21,6 +21,10 @@ STRETCHES = np.geomspace(0.01, 30.0, 400)
 """Stretches to choose from; the first is a straight line, the last lifts the dark seven-fold."""
 
 
+LEAST_BITS = 10
+"""Of what cameras fill of 16 bits. A first frame that is black says less than this, and lamps come later."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tone:
     """A fixed curve from grey values to display values; one for a whole video, so that it does not flicker.
@@ -38,13 +42,15 @@ class Tone:
         Display = asinh(k v) / asinh(k), straight where it is dark and logarithmic above, so that faint light is seen
         and lamps are not burnt out; v = (value - black) / (white - black). Black is a low percentile of `image`;
         white is the full scale for 8 bits and, for 16 bits, the next power of two above the brightest pixel, since
-        cameras fill 10 or 12 of the 16 bits; k lifts a high percentile to `UPPER_TARGET` as far as `STRETCHES` go.
+        cameras fill 10 or 12 of the 16 bits, and at least that of `LEAST_BITS`; k lifts a high percentile to
+        `UPPER_TARGET` as far as `STRETCHES` go.
 
         Source of the curve: Lupton et al., Preparing red-green-blue images from CCD data, PASP 116 (2004), eq. 2.
         """
         num_values = np.iinfo(image.dtype).max + 1
         black, upper, highest = np.percentile(image, (BLACK_PERCENTILE, UPPER_PERCENTILE, 100.0)).tolist()
-        white = num_values - 1 if image.dtype == np.uint8 else 2 ** int(highest).bit_length() - 1
+        num_bits = 8 if image.dtype == np.uint8 else max(LEAST_BITS, int(highest).bit_length())
+        white = 2**num_bits - 1
         span = max(1.0, white - black)
         lifted = np.arcsinh(STRETCHES * (upper - black) / span) / np.arcsinh(STRETCHES)
         stretch = STRETCHES[min(int(np.searchsorted(lifted, UPPER_TARGET)), len(STRETCHES) - 1)]

@@ -151,5 +151,6 @@ def test_no_display_is_said_before_anything_is_done(monkeypatch: pytest.MonkeyPa
 def test_the_viewer_listens_here_alone_and_asks_nobody() -> None:
     command = viewer_command()
     assert command[command.index("--bind") + 1] == LOCAL == "127.0.0.1"
+    assert command[command.index("--memory-limit") + 1] == "25%"
     assert OFFLINE["CI"]
     assert OFFLINE["HTTPS_PROXY"] == OFFLINE["https_proxy"] == "http://127.0.0.1:9"

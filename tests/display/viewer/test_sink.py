@@ -138,6 +138,17 @@ def test_faults_and_modes_are_noted_when_they_change(path: Path) -> None:
     assert modes == [(0, "glare_free"), (PERIOD_NS, "low"), (3 * PERIOD_NS, "glare_free")]
 
 
+def test_a_fault_of_the_run_lasts_beyond_its_sequence(path: Path) -> None:
+    sink = sink_into(path)
+    for number, sequence in enumerate(("S00001", "S00002")):
+        frame = frame_at(0, number, sequence)
+        sink.write(frame, full_result(frame))
+        sink.write_health(Health(PERIOD_NS, ("not_recorded",), 1, 0, 0, None))
+    sink.close()
+    states = Recording(path).values("/states/health", "StateChange:state")
+    assert states == [(PERIOD_NS, ["not recorded"]), (PAUSE_NS, ["not recorded"])]
+
+
 def test_dates_are_dates(path: Path) -> None:
     sink = sink_into(path)
     frame = frame_at(1_700_000_000 * 10**9)

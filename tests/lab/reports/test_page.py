@@ -22,6 +22,7 @@ def test_a_table() -> None:
     ]
     assert "<th>&lt;c&gt;</th>" in table.html()
     assert '<tr><td>y</td><td class="why" colspan="2">no &lt;reason&gt;</td></tr>' in table.html()
+    assert Table(["a"], [["two\nlines"]]).markdown().splitlines()[2:] == ["| two lines |"]
     assert Table(["a", "b"], [[1, "two, three"]]).csv() == 'a,b\n1,"two, three"\n'
 
 
@@ -57,6 +58,9 @@ def test_html() -> None:
     assert text.count("<ul>") == 1
     assert '<img alt="A plot" src="data:image/png;base64,' in text
     assert '<video controls style="max-width: 100%" src="film.mp4"></video>' in text
+    beside = Page("Beside")
+    beside.media('50 % "wet" #2?.mp4', "A film")
+    assert 'src="50%20%25%20%22wet%22%20%232%3F.mp4"' in beside.html()
 
 
 @pytest.mark.parametrize("name", ["report.md", "report.html"])
@@ -79,4 +83,5 @@ def test_pictures_side_by_side() -> None:
     made.pictures([Figure(b"\xff\xd8", "A photograph")], "Some")
     text = made.html()
     assert "None" not in text
+    assert "\n\n### Some\n\n![" in made.markdown()
     assert text.count('<h3>Some</h3><div class="pictures">\n<figure><img alt="A photograph" src="data:image/jpeg;') == 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from foreglow.geometry import Camera, Pose
-from foreglow.lab.reports.road_picture import road_picture, road_px
+from foreglow.lab.reports.road_picture import edges_m, road_picture, road_px
 from foreglow.types import Frame, RoadAhead
 from tests.stand_ins import night_image
 
@@ -39,6 +39,21 @@ def test_what_is_beside_or_behind_us_is_not_in_the_image() -> None:
     assert np.isnan(left[:3]).all()
     assert np.isnan(right[:3]).all()
     assert np.isfinite([left[3], right[3]]).all()
+
+
+def test_a_lens_that_bends_far_folds_nothing_into_the_image() -> None:
+    wide = dataclasses.replace(camera(), distortion=(-0.2, 0.0, 0.0, 0.0, 0.0))
+    near = wide.project(wide.vehicle_from_camera.to_body(np.array([1.75, HALF_WIDTH_M, 0.0])))
+    assert (near > 0).all()
+    assert (near < [1280, 960]).all()  # by the lens's polynomial alone, 63 degrees aside is near the middle
+    left, right = road_px(wide, straight(1.75, 30.0, 60.0))
+    assert np.isnan([left[0], right[0]]).all()
+    assert np.isfinite([left[1:], right[1:]]).all()
+
+
+def test_a_road_that_turns_back_has_edges() -> None:
+    road = RoadAhead(np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), HALF_WIDTH_M)
+    assert np.isfinite(edges_m(road)).all()
 
 
 def test_the_picture_has_the_road_in_both_halves() -> None:

@@ -6,6 +6,7 @@ import base64
 import html.parser
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,13 +14,15 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
+from foreglow.config import config_to_toml
 from foreglow.datasets import shipped_drive
-from foreglow.lab.reports import run_page
+from foreglow.lab.reports import run_figures, run_page
 from foreglow.lab.reports.run_page import key_moments, write_report
 from foreglow.types import Frame
+from tests.bombs import grid_headlamps
 from tests.cli.commands import foreglow_command, without_digest
 from tests.runs.test_recorded_run import made_up, write_run
-from tests.stand_ins import night_image, result_of
+from tests.stand_ins import REFERENCE, night_image, result_of
 
 pytestmark = pytest.mark.slow
 
@@ -108,6 +111,77 @@ def test_a_live_run(tmp_path: Path) -> None:
     assert cells[row : row + 4] == ["camera gone", "2.00", "0.50", "no frame <for> 0.2 s"]
     assert cells[cells.index("bus failed") + 2] == "–"
     assert cells[cells.index("dropped for a newer frame") + 1] == "7"
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.filterwarnings("ignore:.*its recording is damaged")
+def test_what_a_run_lost_is_said(tmp_path: Path) -> None:
+    event = {"fault": "bus_failed", "from_ns": 3_050_000_000, "until_ns": None, "detail": ""}
+    live = {
+        "num_dropped": 0,
+        "num_late": 0,
+        "num_unrecorded": 5,
+        "sink_errors": ["x.mcap: full", "the disk <1>"],
+        "fault_counts": {"bus_failed": 8},
+        "faults": [event],
+    }
+    made = [made_up(1, "A"), made_up(2, "B")]
+    page = Page(write_report(write_run(tmp_path, made, live=live, num_lost_parts=1, skipped=["a"], num_skipped=1)))
+    cells = [text.strip() for text in page.texts]
+    for words, wanted in {
+        "lost parts of the source, of any number of frames": "1",
+        "results that were not recorded": "5",
+        "not recorded": "x.mcap: full; the disk <1>",
+    }.items():
+        assert cells[cells.index(words) + 1] == wanted
+    assert "7 earlier ones are left out: a live run keeps the latest 1." in page.text
+    assert "by the frames' clock, which may begin anew with each sequence" in page.text
+    row = cells.index("bus failed")
+    assert cells[row + 1] == "3.05"  # of which sequence is not known
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("lamps", "words"),
+    [
+        (None, "lamps.toml: no such file"),
+        ("", "lamps.toml: expected lamps of 84 LEDs, as the run's, got"),
+    ],
+)
+def test_headlamps_that_are_gone_or_others_now(tmp_path: Path, lamps: str | None, words: str) -> None:
+    run, file = write_run(tmp_path / "run", [made_up(1)]), tmp_path / "lamps.toml"
+    config = REFERENCE.changed("beam", headlamps=file)
+    (run / "config.toml").write_text(config_to_toml(config))
+    if lamps is not None:
+        file.write_text(grid_headlamps(lamps))
+    text = Page(write_report(run)).text
+    assert "The LEDs are not drawn: " in text
+    assert words in text
+    assert "The LEDs, each column" not in text
+    frame = Frame(night_image(), 0, 1)
+    dark = write_run(tmp_path / "dark", [(frame, result_of(frame, [(1, 2, 9, 9)]))])
+    (dark / "config.toml").write_text(config_to_toml(config))
+    assert "The LEDs" not in Page(write_report(dark)).text
+
+
+def test_a_pause_is_drawn_as_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command is known from its frame to the next one; with many gaps, they are drawn at once."""
+    sheets: list[Any] = []
+
+    def keep(figure: Any) -> bytes:
+        sheets.append(figure)
+        return b""
+
+    monkeypatch.setattr(run_figures, "png", keep)
+    results = [made_up(number)[1] for number in (1, 2, 3, 40, 41)]
+    run_figures.sequence_figure(results, 28)
+    ranges, _, beam, leds = sheets[0].axes[1:5]
+    assert np.isnan(ranges.lines[0].get_xdata()).tolist() == [False, False, False, True, False, False]
+    (gaps,) = [each for each in beam.collections if len(each.get_paths()) == 5 and each.get_alpha() == 0.8]
+    ends_s = [path.vertices[:, 0].max() for path in gaps.get_paths()]
+    np.testing.assert_allclose(ends_s, [0.05, 0.1, 0.25, 2.0, 2.05])
+    shown = leds.collections[0].get_array()
+    assert [bool(column.mask.all()) for column in shown.T] == [False, False, False, True, False, False]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,8 +11,11 @@ import pytest
 
 from foreglow.config import preset
 from foreglow.datasets import shipped_drive
+from foreglow.lab.reports import stage_picture
 from foreglow.proposals import ReferenceProposer
+from foreglow.types import Frame
 from tests.cli.commands import PNG, complaint, foreglow_command
+from tests.stand_ins import result_of
 
 
 def test_boxes_are_kept_or_left_out_by_size_or_deviation() -> None:
@@ -28,6 +32,23 @@ def test_boxes_are_kept_or_left_out_by_size_or_deviation() -> None:
     np.testing.assert_array_equal(2 * kept, proposer.propose(image).boxes_xyxy_px[0])
     strict = ReferenceProposer(config.model_copy(update={"min_deviation": 0.9}))
     assert {verdict for _, verdict in strict.judged(stages, 1280)} == {"deviation", "size"}
+
+
+def test_what_stands_still_is_told_apart_from_what_the_filters_leave(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    sheets: list[Any] = []
+
+    def keep(figure: Any) -> bytes:
+        sheets.append(figure)
+        return b""
+
+    monkeypatch.setattr(stage_picture, "png", keep)
+    image = np.full((960, 1280), 10, np.uint8)
+    image[300:330, 300:330] = 250
+    frame, config = Frame(image, 0), preset("paper").changed("classifier", model=None)
+    for boxes, words in (([(300, 300, 330, 330)], "filters"), ([], "filters, 1 of them stand still")):
+        stage_picture.stage_picture(frame, result_of(frame, boxes), config)
+        assert sheets[-1].axes[6].get_title() == f"1 boxes: 1 pass the {words}"
 
 
 @pytest.mark.slow

@@ -36,6 +36,10 @@ FIRST_DATE_NS = 10**17
 
 LOCAL = "127.0.0.1"
 
+MEMORY_LIMIT = "25%"
+"""Of the machine's, for a window; then it drops what is oldest. By itself it takes three quarters, and a live run of an
+hour beside it may have too little."""
+
 OFFLINE: Mapping[str, str] = MappingProxyType(
     {
         "CI": "1",
@@ -264,7 +268,8 @@ class ViewerWindow:
 
 def viewer_command() -> list[str]:
     """How Rerun's viewer is started to read a recording from its standard input and to listen on this machine alone."""
-    return [sys.executable, "-m", "rerun_cli", "-", "--bind", LOCAL, "--port", "auto", "--hide-welcome-screen"]
+    limits = ["--bind", LOCAL, "--port", "auto", "--memory-limit", MEMORY_LIMIT]
+    return [sys.executable, "-m", "rerun_cli", "-", *limits, "--hide-welcome-screen"]
 
 
 def check_display() -> None:

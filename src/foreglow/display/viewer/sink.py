@@ -135,12 +135,15 @@ class RerunSink:
             output.discard()
 
     def _begin(self, frame: Frame) -> list[Entity]:
-        """Clears what is shown, and chooses the sequence's tone."""
+        """Clears what is shown, but for faults of the whole run that last, and chooses the sequence's tone."""
         is_first, self._sequence = self._sequence is None, frame.sequence
         self._tone, self._mode, self._slots = Tone.of(frame.image), None, Slots()
         self._faults.pop("low beam", None)
         named = [log_entity(f"sequence {frame.sequence}", is_fault=False)] if frame.sequence else []
-        return named if is_first else [*((name, rr.Clear(recursive=True)) for name in PER_SEQUENCE), *named]
+        if is_first:
+            return named
+        lasting = [_state(origin, faults) for origin, faults in self._faults.items()]
+        return [*((name, rr.Clear(recursive=True)) for name in PER_SEQUENCE), *lasting, *named]
 
     def _track_plots(self, tracks: Tracks) -> list[Entity]:
         """Range and confidence of the plausible tracks, a line each while they live."""
@@ -162,12 +165,16 @@ class RerunSink:
         self._faults[origin] = faults
         words = fault_words(faults)
         text = f"{origin}: {words}" if faults else f"{origin}: no faults any more"
-        state = (f"states/{rr.escape_entity_path_part(origin)}", rr.StateChange(state=words or None))
-        return [log_entity(text, is_fault=bool(faults)), state]
+        return [log_entity(text, is_fault=bool(faults)), _state(origin, faults)]
 
     def _log(self, time_ns: int, number: int | None, entities: Sequence[Entity]) -> None:
         for output in self._outputs:
             output.log(time_ns, number, entities)
+
+
+def _state(origin: str, faults: tuple[str, ...]) -> Entity:
+    """The state of the faults of `origin`, on the timeline."""
+    return f"states/{rr.escape_entity_path_part(origin)}", rr.StateChange(state=fault_words(faults) or None)
 
 
 def highest(scores: NDArray[np.float32]) -> NDArray[np.float32]:

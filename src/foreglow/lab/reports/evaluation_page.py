@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from foreglow.display.summary_lines import counted
+from foreglow.lab.evaluation.boxes.box_quality import BoxQuality
 from foreglow.lab.evaluation.boxes.breakdown import Breakdown, FalseBoxes, ImageGroup, OperatingPoint
 from foreglow.lab.evaluation.boxes.directness import Directness, KindConfusion
 from foreglow.lab.evaluation.boxes.examination import Examination, Ranking
@@ -26,6 +27,8 @@ from foreglow.types.kinds import KIND_WORDS
 FEWEST_FALSE_BOXES = 0.01
 """Left end of the axis of false boxes a frame."""
 
+_number = functools.partial(number, digits=3)
+
 
 def curve_plot(ranking: Ranking, threshold: float) -> bytes:
     """Precision, recall and F over the threshold, and precision over recall."""
@@ -39,7 +42,7 @@ def curve_plot(ranking: Ranking, threshold: float) -> bytes:
     axes[0].legend(frameon=False)
     axes[1].plot(curve.recall, curve.precision, color=BLUE)
     axes[1].set(xlabel="recall", ylabel="precision", ylim=(0, 1), xlim=(0, 1))
-    axes[1].set_title(f"average precision {ranking.average_precision:.3f}", fontsize=10, loc="left")
+    axes[1].set_title(f"average precision {_number(ranking.average_precision)}", fontsize=10, loc="left")
     return png(figure)
 
 
@@ -75,7 +78,7 @@ def reliability_plot(calibration: Calibration) -> bytes:
         axes[0].plot(scores, shares, color=color, marker="o", markersize=4, label=label)
     axes[0].legend(frameon=False)
     axes[0].set(xlabel="mean score of a bin", ylabel="share with a light artifact", xlim=(0, 1), ylim=(0, 1))
-    axes[0].set_title(f"calibration error {calibration.ece:.3f}", fontsize=10, loc="left")
+    axes[0].set_title(f"calibration error {_number(calibration.ece)}", fontsize=10, loc="left")
     return png(figure)
 
 
@@ -122,9 +125,6 @@ ASPECTS = {
 }
 
 
-_number = functools.partial(number, digits=3)
-
-
 def write_report(examination: Examination, folder: Path, origin: Mapping[str, Any]) -> Path:
     """Writes `results.json`, the plots and `report.md` to `folder`, and returns the last one's path.
 
@@ -140,12 +140,12 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
     page = Page(f"{examination.detector} on {examination.name}")
     if not examination.is_complete:
         page.text("Incomplete: the predictions are of a run that was interrupted, or has lost frames since.")
-    page.items(examination_lines(examination))
+    page.items([*examination.notes, *examination_lines(examination)])
     page.text("What every figure means: `docs/evaluation.md`.")
     _add_quality(page, examination)
     if examination.ranking is not None:
         _add_ranking(page, examination.ranking, examination.breakdown)
-    _add_breakdown(page, examination.breakdown)
+    _add_breakdown(page, examination.breakdown, is_scored=examination.quality.is_scored)
     if examination.whose_light is not None:
         _add_whose_light(page, examination.whose_light)
     if examination.kinds is not None:
@@ -272,10 +272,20 @@ def kinds_words(confusion: KindConfusion) -> str:
     )
 
 
+def quality_words(quality: BoxQuality) -> list[str]:
+    """Of which images the figures are, and which boxes count: one fact each, without a full stop."""
+    condition = f"score > {quality.threshold:g}" if quality.is_scored else "boxes without scores, all count"
+    words = [f"{counted(quality.num_images, 'image')}, {condition}"]
+    if quality.num_missing:
+        words.append(f"{counted(quality.num_missing, 'image')} without predictions, counted as without boxes")
+    if quality.num_unknown:
+        words.append(f"predictions for {counted(quality.num_unknown, 'unknown image')} ignored")
+    return words
+
+
 def _add_quality(page: Page, examination: Examination) -> None:
     quality = examination.quality
-    words = f"{quality.num_images} images; boxes count with a score above {quality.threshold:g}."
-    page.section("The paper's metrics", words)
+    page.section("The paper's metrics", f"{'; '.join(quality_words(quality))}.")
     rates = [_number(getattr(quality, name)) for name in ("precision", "recall", "f1", "q", "q_k", "q_b")]
     row = [*rates, quality.tp, quality.fp, quality.fn]
     page.table(Table(["P", "R", "F", "q", "q_K", "q_B", "TP", "FP", "FN"], [row]))
@@ -301,10 +311,11 @@ def _add_ranking(page: Page, ranking: Ranking, breakdown: Breakdown) -> None:
         page.table(Table(head, [[calibration.num, *map(_number, (*values, *after))]]))
 
 
-def _add_breakdown(page: Page, breakdown: Breakdown) -> None:
+def _add_breakdown(page: Page, breakdown: Breakdown, *, is_scored: bool) -> None:
+    condition = f"At threshold {breakdown.threshold:g}" if is_scored else "All boxes count, since none has a score"
     page.section(
         "Recall by what a light is",
-        f"At threshold {breakdown.threshold:g}; the ceiling is the recall of all proposals. F is that of this recall "
+        f"{condition}; the ceiling is the recall of all proposals. F is that of this recall "
         f"and of the precision of all boxes, {_number(breakdown.precision)}.",
     )
     page.figure(Figure(kinds_plot(breakdown), "Recall by kind", "kinds.png"))
@@ -360,7 +371,7 @@ FALSE_COLUMNS: Mapping[str, Callable[[tuple[str, FalseBoxes]], object]] = {
     "with doubtful light": lambda named: named[1].num_doubtful,
     "a frame": lambda named: _number(named[1].per_frame),
     "without doubtful": lambda named: _number(named[1].per_frame_without_doubtful),
-    "a minute": lambda named: f"{named[1].per_minute:.0f}",
+    "a minute": lambda named: number(named[1].per_minute, 0),
 }
 
 IMAGE_GROUP_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from foreglow.files import in_unicode, to_json, write_json_results
 from foreglow.outputs import running_command
@@ -198,15 +199,16 @@ class Page:
             self._figures += figures
             over = f"<h3>{escape(heading)}</h3>" if heading else ""
             markdown, shown = zip(*((figure.markdown(), figure.html()) for figure in figures), strict=True)
-            self._add("\n".join(markdown), "\n".join([f'{over}<div class="pictures">', *shown, "</div>"]))
+            named = [f"### {heading}\n"] if heading else []
+            self._add("\n".join([*named, *markdown]), "\n".join([f'{over}<div class="pictures">', *shown, "</div>"]))
 
     def media(self, file: str, caption: str) -> None:
         """Adds a picture or a video that lies beside the page already."""
-        source, words = escape(file), escape(caption)
+        source, words = quote(file), escape(caption)
         shown = f'<img alt="{words}" src="{source}">'
         if file.endswith(VIDEOS):
             shown = f'<video controls style="max-width: 100%" src="{source}"></video>'
-        self._add(f"![{caption}]({file})", f"<figure>{shown}<figcaption>{words}</figcaption></figure>")
+        self._add(f"![{caption}]({source})", f"<figure>{shown}<figcaption>{words}</figcaption></figure>")
 
     def listing(self, text: str, summary: str) -> None:
         """Adds a long text as it is, such as a file; in HTML it is folded up under `summary`."""
@@ -285,4 +287,4 @@ def _html_words(text: str) -> str:
 
 
 def _markdown_row(cells: Iterable[object]) -> str:
-    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
+    return "| " + " | ".join(" ".join(str(cell).splitlines()).replace("|", "\\|") for cell in cells) + " |"

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from foreglow.display.calibration_check import seen_px
 from foreglow.geometry import Camera, Floats
 from foreglow.lab.reports.figures import AMBER, INK, png, show_image
 from foreglow.types import Frame, Image, RoadAhead
@@ -58,7 +59,7 @@ def show_road(axes: Any, image: Image, camera: Camera, road: RoadAhead) -> None:
 def edges_m(road: RoadAhead) -> tuple[Floats, Floats]:
     """Left and right edge of the road, each of shape (N, 3), in the vehicle's coordinates."""
     along = np.gradient(road.points_m, axis=0)
-    left = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
+    left = np.stack([-along[:, 1], along[:, 0]], -1) / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     offsets_m = (side * road.half_width_m for side in (1.0, -1.0))
     first, second = (
         road.points_m + np.column_stack([offset_m * left, offset_m * road.cross_slopes]) for offset_m in offsets_m
@@ -73,7 +74,7 @@ def road_px(camera: Camera, road: RoadAhead) -> tuple[Floats, Floats]:
         points = camera.vehicle_from_camera.to_body(edge_m)
         pixels = np.full((len(points), 2), np.nan)
         is_ahead = points[:, 0] >= NEAREST_M
-        pixels[is_ahead] = camera.project(points[is_ahead])
+        pixels[is_ahead] = seen_px(camera, points[is_ahead])
         pixels[np.asarray(((pixels < 0) | (pixels >= [camera.width_px, camera.height_px])).any(axis=1))] = np.nan
         edges.append(pixels)
     return edges[0], edges[1]

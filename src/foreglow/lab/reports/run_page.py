@@ -6,175 +6,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from foreglow.config import config_to_toml
-from foreglow.display.beam_view import MODES
 from foreglow.display.overlay import annotate
 from foreglow.display.tone import Tone
-from foreglow.geometry import Floats
-from foreglow.lab.reports.figures import AMBER, BLUE, DPI, GREY, PALE, jpeg, png, subplots
+from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import DASH, Figure, Page, Table, number
+from foreglow.lab.reports.run_figures import sequence_figure, stage_figure
 from foreglow.photometry import read_headlamps
 from foreglow.runs.recorded_run import RecordedRun, read_frames, read_run
+from foreglow.runs.tally import NUM_TIMES
 from foreglow.types import Frame, FrameResult, TrackState
 from foreglow.whole_files import write_atomic
-
-MAX_ROWS = 30
-"""Of the lights in a timeline; the longest are shown."""
-
-WIDTH_IN = 1080 / DPI
-
-HEIGHTS_IN = {"lights": 2.2, "ranges": 1.7, "confidences": 1.2, "beam": 1.7, "leds": 1.6}
-
-
-def sequence_figure(results: Sequence[FrameResult], num_columns: int) -> bytes:
-    """What happened in one sequence over time, as PNG; what the run did not compute is left out.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-    """
-    from matplotlib.figure import Figure as Sheet
-
-    has_tracks = any(result.tracks is not None for result in results)
-    has_beam = any(result.beam is not None for result in results)
-    names = ["lights", "ranges", "confidences"] * has_tracks + ["beam", "leds"] * has_beam or ["proposals"]
-    heights = [HEIGHTS_IN.get(name, 2.0) for name in names]
-    figure = Sheet(figsize=(WIDTH_IN, sum(heights) + 0.4), layout="constrained")
-    all_axes = figure.subplots(len(names), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    times_s = np.array([result.timestamp_ns - results[0].timestamp_ns for result in results]) / 1e9
-    for name, axes in zip(names, all_axes, strict=True):
-        axes.spines[["top", "right"]].set_visible(False)
-        if name == "proposals":
-            _draw_proposals(axes, results, times_s)
-        elif name == "beam":
-            _draw_beam(axes, results, times_s)
-        elif name == "leds":
-            _draw_leds(axes, results, times_s, num_columns)
-        else:
-            _draw_tracks(axes, name, results, times_s)
-    all_axes[-1].set_xlabel("s from the first frame")
-    return png(figure)
-
-
-def stage_figure(results: Sequence[FrameResult]) -> bytes:
-    """Box plots of the stages' run-times over all frames, as PNG: quartiles, and whiskers from p5 to p95.
-
-    Raises:
-        ModuleNotFoundError: If matplotlib is not installed.
-    """
-    stages = list(dict.fromkeys(stage for result in results for stage in result.stage_ms))
-    values = [[result.stage_ms[stage] for result in results if stage in result.stage_ms] for stage in stages]
-    values.append([sum(result.stage_ms.values()) for result in results if result.stage_ms])
-    figure, (axes,) = subplots(1, 1.2 + 1.0 * len(values), 2.8)
-    axes.boxplot(values, whis=(5, 95), showfliers=False, medianprops={"color": AMBER, "linewidth": 1.6})
-    axes.set_xticks(range(1, len(values) + 1), [*stages, "total"], fontsize=8)
-    axes.set(ylabel="ms")
-    axes.set_ylim(bottom=0)
-    return png(figure)
-
-
-def _draw_proposals(axes: Any, results: Sequence[FrameResult], times_s: Floats) -> None:
-    axes.plot(times_s, [len(result.proposals) for result in results], color=GREY, label="proposals")
-    if any(result.detections is not None for result in results):
-        accepted = [0 if result.detections is None else int(result.detections.is_accepted.sum()) for result in results]
-        axes.plot(times_s, accepted, color=AMBER, label="light artifacts")
-    axes.set(ylabel="boxes a frame")
-    axes.set_ylim(bottom=0)
-    axes.legend(frameon=False, fontsize=8)
-
-
-def _draw_tracks(axes: Any, name: str, results: Sequence[FrameResult], times_s: Floats) -> None:
-    histories = _histories(results, times_s)
-    longest = sorted(histories, key=lambda track: -len(histories[track]))[:MAX_ROWS]
-    period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.05
-    for row, track in enumerate(sorted(longest)):
-        history = histories[track]
-        if name == "lights":
-            begins = [(time_s - period_s / 2, period_s) for time_s in history[:, 0]]
-            axes.broken_barh(begins, (row - 0.35, 0.7), color=[_colour(row) for row in history])
-        elif name == "ranges":
-            (line,) = axes.plot(history[:, 0], history[:, 1], linewidth=1.2)
-            sigmas = np.where(np.isfinite(history[:, 2]), history[:, 2], 0.0)
-            below, above = history[:, 1] - sigmas, history[:, 1] + sigmas
-            axes.fill_between(history[:, 0], below, above, color=line.get_color(), alpha=0.15, linewidth=0)
-        else:
-            axes.plot(history[:, 0], history[:, 3], linewidth=1.2)
-    if name == "lights":
-        axes.set_yticks(range(len(longest)), [f"#{track}" for track in sorted(longest)], fontsize=6)
-        left_out = len(histories) - len(longest)
-        axes.set_ylabel("tracks" if not left_out else f"tracks, {left_out} shorter ones left out", fontsize=8)
-        for colour, word in ((AMBER, "indirect: provident"), (BLUE, "direct"), (GREY, "not known")):
-            axes.plot([], [], color=colour, linewidth=5, label=word)
-        axes.legend(frameon=False, fontsize=7, loc="upper left", ncols=3)
-        axes.set_ylim(-0.6, max(len(longest), 1) + 0.9)
-    elif name == "ranges":
-        axes.set_ylabel("range ± sigma, m", fontsize=8)
-        top_m = max((float(np.nanmax(history[:, 1], initial=0.0)) for history in histories.values()), default=0.0)
-        axes.set_ylim(0.0, 1.2 * top_m or 1.0)
-    else:
-        axes.set_ylabel("confidence", fontsize=8)
-        axes.set_ylim(0.0, 1.05)
-
-
-def _histories(results: Sequence[FrameResult], times_s: Floats) -> dict[int, Floats]:
-    """By track, a row for each frame in which it was plausible: time, range, sigma, confidence, direct, coasting."""
-    rows: dict[int, list[tuple[float, ...]]] = {}
-    for time_s, result in zip(times_s.tolist(), results, strict=True):
-        tracks = result.tracks
-        if tracks is None:
-            continue
-        is_coasting = tracks.states == TrackState.COASTING
-        columns = (tracks.ranges_m, tracks.sigmas_m, tracks.confidences, tracks.direct_probabilities, is_coasting)
-        for track in np.flatnonzero(tracks.is_plausible):
-            row = (time_s, *(float(column[track]) for column in columns))
-            rows.setdefault(int(tracks.ids[track]), []).append(row)
-    return {number: np.array(history, np.float64) for number, history in rows.items()}
-
-
-def _colour(row: Floats) -> tuple[str, float]:
-    direct, is_coasting = row[4], row[5]
-    kind = GREY if np.isnan(direct) else BLUE if direct > 0.5 else AMBER
-    return kind, 0.4 if is_coasting else 1.0
-
-
-def _draw_beam(axes: Any, results: Sequence[FrameResult], times_s: Floats) -> None:
-    """The mode as ground, and the dark gaps as azimuths."""
-    ends_s = np.append(times_s[1:], times_s[-1])
-    for mode, (words, (blue, green, red)) in MODES.items():
-        colour = (red / 255, green / 255, blue / 255)
-        is_mode = [result.beam is not None and result.beam.mode == mode for result in results]
-        spans = [(begin, end - begin) for begin, end, is_on in zip(times_s, ends_s, is_mode, strict=True) if is_on]
-        axes.broken_barh(spans, (-30.0, 60.0), color=colour, alpha=0.25, linewidth=0)
-        axes.plot([], [], color=colour, alpha=0.5, linewidth=6, label=words.lower())
-    gaps = [
-        (begin, end, *np.degrees(borders_rad))
-        for begin, end, result in zip(times_s, ends_s, results, strict=True)
-        if result.beam is not None
-        for borders_rad in result.beam.gaps_rad
-    ]
-    for begin, end, right_deg, left_deg in gaps:
-        axes.fill_between([begin, end], right_deg, left_deg, color="#222222", alpha=0.8, linewidth=0)
-    axes.set_ylabel("gaps, degrees\nto the left", fontsize=8)
-    axes.set_ylim(-30.0, 30.0)
-    axes.legend(frameon=False, fontsize=7, loc="lower left", ncols=3)
-
-
-def _draw_leds(axes: Any, results: Sequence[FrameResult], times_s: Floats, num_columns: int) -> None:
-    """The LEDs' levels, mean of each column: from above the left lamp's from left to right, then the right lamp's."""
-    columns = np.full((len(results), 2 * num_columns), np.nan)
-    for index, result in enumerate(results):
-        if result.beam is not None:
-            columns[index] = result.beam.levels.reshape(2, -1, num_columns).mean(axis=1)[:, ::-1].ravel()
-    edges_s = np.append(times_s, times_s[-1] + (times_s[-1] - times_s[-2] if len(times_s) > 1 else 0.05))
-    mesh = axes.pcolormesh(edges_s, np.arange(2 * num_columns + 1), columns.T, cmap="inferno", vmin=0.0, vmax=1.0)
-    axes.axhline(num_columns, color=PALE, linewidth=1.0)
-    axes.set_yticks([num_columns / 2, 1.5 * num_columns], ["left\nlamp", "right\nlamp"], fontsize=8)
-    axes.invert_yaxis()
-    axes.figure.colorbar(mesh, ax=axes, label="level", pad=0.01)
-
 
 MAX_SEQUENCES = 12
 """Sequences with a section of their own; each takes about half a megabyte."""
@@ -249,6 +92,8 @@ def _page(run: RecordedRun) -> Page:
     _add_faults(page, run)
     _add_sequences(page, run)
     page.section("Run-time")
+    if run.summary.num_frames > NUM_TIMES:
+        page.text(f"The table is of the latest {NUM_TIMES} frames.")
     names = ("median", "p95", "p99")
     rows = [[stage, *(number(ms.get(name), 3) for name in names)] for stage, ms in run.summary.run_time_ms.items()]
     page.table(Table(["stage", *(f"{name}, ms" for name in names)], rows))
@@ -277,12 +122,18 @@ def _facts(run: RecordedRun) -> Table:
         ["light artifacts", DASH if summary.num_accepted is None else summary.num_accepted],
         ["plausible tracks", DASH if summary.num_tracks is None else summary.num_tracks],
     ]
+    if summary.num_lost_parts:
+        rows.append(["lost parts of the source, of any number of frames", summary.num_lost_parts])
     if summary.beam is not None:
         counts = [f"{getattr(summary.beam, f'num_{mode}')} {words}" for mode, words in MODE_WORDS.items()]
         rows.append(["frames with", ", ".join(counts)])
     if summary.live is not None:
         rows.append(["dropped for a newer frame", summary.live.num_dropped])
         rows.append(["later than a frame's time", summary.live.num_late])
+        if summary.live.num_unrecorded:
+            rows.append(["results that were not recorded", summary.live.num_unrecorded])
+        if summary.live.sink_errors:
+            rows.append(["not recorded", "; ".join(summary.live.sink_errors)])
     return Table(["", ""], rows)
 
 
@@ -291,7 +142,8 @@ def _add_faults(page: Page, run: RecordedRun) -> None:
     results = [result for results in run.sequences.values() for result in results]
     commands = [result.beam for result in results if result.beam is not None]
     counts = Counter(fault for command in commands for fault in command.faults)
-    events = () if run.summary.live is None else run.summary.live.faults
+    live = run.summary.live
+    events = () if live is None else live.faults
     if not counts and not events:
         page.text("None." if commands else "None were looked for: the run commanded no beam.")
     if counts:
@@ -299,6 +151,9 @@ def _add_faults(page: Page, run: RecordedRun) -> None:
         page.table(Table(["low beam because of", "frames", "share"], rows))
     if events:
         begin_ns = min((result.timestamp_ns for result in results), default=events[0].from_ns)
+        if len(run.sequences) > 1:
+            begin_ns = 0
+            page.text("Times of faults are by the frames' clock, which may begin anew with each sequence.")
         rows = [
             [
                 _words(event.fault),
@@ -311,6 +166,9 @@ def _add_faults(page: Page, run: RecordedRun) -> None:
         page.table(Table(["fault", "at, s", "for, s", "what is known"], rows))
         if len(events) > MAX_EVENTS:
             page.text(f"{len(events) - MAX_EVENTS} later ones are left out; they are in summary.json.")
+        num_forgotten = 0 if live is None else sum(live.fault_counts.values()) - len(events)
+        if num_forgotten > 0:
+            page.text(f"{num_forgotten} earlier ones are left out: a live run keeps the latest {len(events)}.")
 
 
 def _words(fault: str) -> str:
@@ -322,10 +180,12 @@ def _add_sequences(page: Page, run: RecordedRun) -> None:
     shown = dict(list(run.sequences.items())[:MAX_SEQUENCES])
     moments = {name: key_moments(results) for name, results in shown.items()}
     frames, reason = _frames(run, [moment.result for of_sequence in moments.values() for moment in of_sequence])
-    num_columns = read_headlamps(run.config.beam.headlamps).num_columns
+    num_columns, why_no_leds = _num_columns(run)
     for name, results in shown.items():
         page.section(f"Sequence {name}" if name else "Over time")
-        page.figure(Figure(sequence_figure(results, num_columns), _figure_words(results)))
+        page.figure(
+            Figure(sequence_figure(results, num_columns), _figure_words(results, has_leds=num_columns is not None))
+        )
         page.pictures(
             Figure(
                 _picture(frames[moment.result.frame], moment.result),
@@ -334,6 +194,8 @@ def _add_sequences(page: Page, run: RecordedRun) -> None:
             for moment in moments[name]
             if moment.result.frame in frames
         )
+    if why_no_leds:
+        page.text(f"The LEDs are not drawn: {why_no_leds}.")
     if reason:
         page.text(f"There are no pictures: {reason}")
     if len(run.sequences) > len(shown):
@@ -345,12 +207,38 @@ def _picture(frame: Frame, result: FrameResult) -> bytes:
     return jpeg(annotate(frame, result, Tone.of(frame.image)), PICTURE_WIDTH_PX, PICTURE_QUALITY)
 
 
-def _figure_words(results: Sequence[FrameResult]) -> str:
+def _num_columns(run: RecordedRun) -> tuple[int | None, str]:
+    """LEDs in a row of a lamp of the run, or why that is not known; neither where it commanded no beam."""
+    commands = (result.beam for results in run.sequences.values() for result in results)
+    nums_leds = {command.levels.shape[1] for command in commands if command is not None}
+    if not nums_leds:
+        return None, ""
+    try:
+        headlamps = read_headlamps(run.config.beam.headlamps)
+    except (ValueError, OSError) as error:
+        return None, _said(error)
+    if nums_leds != {headlamps.num_leds}:
+        found = ", ".join(map(str, sorted(nums_leds)))
+        path = run.config.beam.headlamps or run.folder / "config.toml"
+        return None, f"{path}: expected lamps of {found} LEDs, as the run's, got {headlamps.num_leds}"
+    return headlamps.num_columns, ""
+
+
+def _said(error: Exception) -> str:
+    """An error in words, with the path that an error of the system has for itself."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return f"{error}"
+
+
+def _figure_words(results: Sequence[FrameResult], *, has_leds: bool) -> str:
     words = f"{len(results)} frames."
     if any(result.tracks is not None for result in results):
         words += " Plausible tracks, pale while nothing of them is detected; their ranges, filtered, and confidences."
     if any(result.beam is not None for result in results):
-        words += " The beam's mode and dark gaps; the LEDs, each column's mean level, as the driver sees them."
+        words += " The beam's mode and dark gaps, blank where no frame says for long what the lamps got."
+    if has_leds:
+        words += " The LEDs, each column's mean level, as the driver sees them."
     return words
 
 
@@ -361,4 +249,4 @@ def _frames(run: RecordedRun, results: Sequence[FrameResult]) -> tuple[Mapping[i
     except FileNotFoundError:
         return {}, f"the frames are no longer at {run.summary.source}."
     except (ValueError, OSError) as error:
-        return {}, f"{error}."
+        return {}, f"{_said(error)}."

@@ -55,7 +55,10 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     show_image(next(panels), _coloured(stages.labels), f"{int(stages.labels.max())} blobs")
     judged = proposer.judged(stages, image.shape[1])
     axes = next(panels)
-    _show_working(axes, stages.blurred, f"{len(judged)} boxes: {len(result.proposals)} pass the filters")
+    num_kept = sum(verdict == "kept" for _, verdict in judged)
+    num_still = num_kept - len(result.proposals)
+    words = f", {num_still} of them stand still" if num_still else ""
+    _show_working(axes, stages.blurred, f"{len(judged)} boxes: {num_kept} pass the filters{words}")
     for verdict, (words, colour) in VERDICTS.items():
         boxes = [box for box, its_verdict in judged if its_verdict == verdict]
         _add_boxes(axes, np.array(boxes).reshape(-1, 4), colour)

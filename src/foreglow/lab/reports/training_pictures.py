@@ -49,17 +49,18 @@ def draw_curves(curves: Path, picture: Path) -> None:
 
     rows = _rows(curves)
     numbers = [row["number"] for row in rows]
+    marker = "." if len(rows) == 1 else None  # of a single epoch there is no line
     figure = Figure(figsize=(10, 4), layout="constrained")
     losses, scores = figure.subplots(1, 2)
     for name, label in (("train_loss", "training (augmented)"), ("val_loss", "validation")):
-        losses.plot(numbers, [row[name] for row in rows], label=label)
+        losses.plot(numbers, [row[name] for row in rows], marker=marker, label=label)
     losses.set(xlabel="epoch", ylabel="loss", yscale="log")
     rates = losses.twinx()
     rates.plot(numbers, [row["learning_rate"] for row in rows], color="grey", linewidth=0.8, linestyle=":")
     rates.set_ylabel("learning rate (dotted)")
     losses.legend()
     for name, label in (("f1", "F"), ("precision", "precision"), ("recall", "recall")):
-        scores.plot(numbers, [row[name] for row in rows], label=label)
+        scores.plot(numbers, [row[name] for row in rows], marker=marker, label=label)
     scores.set(xlabel="epoch", ylim=(0, 1), title=f"validation boxes, score > {rows[-1]['threshold']:g}")
     scores.legend(loc="lower right")
     with open_atomic(picture) as target:

@@ -165,7 +165,7 @@ def _page(tuning: Tuning) -> Page:
         if getattr(finalist, split) is not None
     ]
     page.table(Table(["", "loss", *HEADINGS.values()], rows))
-    page.section("Finalists", "The best on train and the paper's, in the order of their loss on val.")
+    page.section("Finalists", f"The best on train and the paper's, in the order of their loss on {split}.")
     rows = [
         [
             *(f"{getattr(finalist.config, name):g}" for name in searched),

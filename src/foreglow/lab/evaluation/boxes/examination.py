@@ -71,6 +71,7 @@ class Examination:
         num_outside: Lights that lie outside their image.
         num_twins: Lights that the labels have several times, which count as often.
         num_beyond: Boxes of a file that lie wholly beyond their image.
+        notes: What is to be said of the labels that predictions from a file were compared with, one line each.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Examination:
     num_outside: int = 0
     num_twins: int = 0
     num_beyond: int = 0
+    notes: tuple[str, ...] = ()
 
     @property
     def share_found_ahead(self) -> float:
