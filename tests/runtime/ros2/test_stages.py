@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import os
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,6 +29,7 @@ from rclpy.qos import qos_profile_sensor_data
 
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.environment import NUM_PARTICIPANTS, PARTICIPANT
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, STAMPED_AHEAD, UNHEARD, Receiver, make_ros_node
 from foreglow.runtime.ros2.output import BeamOutput
@@ -232,6 +236,32 @@ def test_a_publisher_that_nobody_hears_is_low_beam(bench: Bench, frame: Frame) -
     publisher.destroy()
     bench.until("", frame)
     bench.wait(lambda: any(state.message == UNHEARD for state in bench.states))
+
+
+OTHER_TYPE = """
+import rclpy
+from std_msgs.msg import Bool
+from foreglow.runtime.ros2.node import make_ros_node
+node = make_ros_node("decoder")
+publisher = node.create_publisher(Bool, "camera/damage", 10)
+input()
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+@needs_processes
+def test_a_publisher_of_another_type_is_low_beam(bench: Bench, frame: Frame) -> None:
+    """Nothing that it says is delivered either, such as that images are damaged: the light stayed on."""
+    bench.until("", frame)
+    other = {PARTICIPANT: str((int(os.environ[PARTICIPANT]) + 1) % NUM_PARTICIPANTS)}
+    with subprocess.Popen(
+        [sys.executable, "-c", OTHER_TYPE], stdin=subprocess.PIPE, env={**os.environ, **other}
+    ) as decoder:
+        bench.until(UNHEARD, frame)
+        assert bench.commands[-1].mode == BeamMode.LOW
+        decoder.communicate(b"\n")
+    bench.until("", frame)
 
 
 def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:

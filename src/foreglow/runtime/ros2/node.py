@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 import rclpy
@@ -32,7 +32,8 @@ BAD_MESSAGE = "bad_message"
 INPUT_MISSING = "input_missing"
 """Fault: no input came in time."""
 UNHEARD = "unheard_publisher"
-"""Fault: someone sends on a topic with best effort where we need reliable messages, and get none of those."""
+"""Fault: someone sends on a topic with best effort where we need reliable messages, or messages of another type, and we
+get none of those."""
 STAMPED_AHEAD = "stamped_ahead"
 """Fault: a message is stamped later than ROS time, so nobody knows of when it is; it was not used."""
 
@@ -135,7 +136,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self._sequence: str | None = None
         self._has_failed = False
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
-        self._reliable: list[str] = []
+        self._subscribed: dict[str, tuple[str, bool]] = {}  # resolved topics: type, and whether it is to be reliable
         self._looked_ns = 0
         self._slowest_ms: dict[str, float] = {}
         self._timing = self.publisher(topics.TIMING)
@@ -218,8 +219,8 @@ class FrameNode(ABC, Generic[Inputs]):
 
         quality = topics.subscriber_quality(topic, depth)
         subscription = self.ros.create_subscription(topics.TYPES[topic], topic, take, quality)
-        if quality.reliability == ReliabilityPolicy.RELIABLE:
-            self._reliable.append(subscription.topic_name)
+        is_reliable = quality.reliability == ReliabilityPolicy.RELIABLE
+        self._subscribed[subscription.topic_name] = topics.type_name(topics.TYPES[topic]), is_reliable
 
     def _look_for_ahead(self, now_ns: int) -> None:
         """Looks whether messages are stamped ahead of ROS time: what they say, such as damage, is not known in time."""
@@ -235,18 +236,20 @@ class FrameNode(ABC, Generic[Inputs]):
         if now_ns - self._looked_ns < REPORT_NS:
             return
         self._looked_ns = now_ns
-        unheard = [
-            topic
-            for topic in self._reliable
-            for publisher in self.ros.get_publishers_info_by_topic(topic)
-            if publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-        ]
-        if unheard:
-            self._note(
-                UNHEARD, ValueError(f"{unheard[0]}: expected a publisher with reliable messages, got best effort")
-            )
+        unheard = next(self._unheard(), None)
+        if unheard is not None:
+            self._note(UNHEARD, ValueError(unheard))
         else:
             self.faults.discard(UNHEARD)
+
+    def _unheard(self) -> Iterator[str]:
+        """What is wrong with each publisher of whose messages none comes here."""
+        for topic, (expected, is_reliable) in self._subscribed.items():
+            for publisher in self.ros.get_publishers_info_by_topic(topic):
+                if publisher.topic_type != expected:
+                    yield f"{topic}: expected publishers of {expected}, got {publisher.topic_type}"
+                elif is_reliable and publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
+                    yield f"{topic}: expected publishers of reliable messages, got best effort"
 
     def _work_on(self, joined: Joined) -> None:
         header = joined.header
