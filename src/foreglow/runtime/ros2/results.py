@@ -62,7 +62,7 @@ BEAM = {
 }
 """`gaps_rad` has the right and left border of each gap in turn; `faults` is UTF-8 text, one fault a line."""
 
-_STAGES = ("proposals", "classifier", "distance", "tracking", "beam")
+_STAGES = ("proposals", "standing", "classifier", "distance", "tracking", "beam")
 
 TIMING = {name: Field("f8", is_optional=True) for name in ("received", "wait", "decode", *_STAGES, "send", "done")}
 """Milliseconds. `received` and `done` are from exposure until the frame's last message was received, and until all
