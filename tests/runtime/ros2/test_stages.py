@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -31,12 +32,22 @@ from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.environment import NUM_PARTICIPANTS, PARTICIPANT
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, STAMPED_AHEAD, UNHEARD, Receiver, make_ros_node
+from foreglow.runtime.ros2.join import Joined
+from foreglow.runtime.ros2.node import (
+    BAD_MESSAGE,
+    INPUT_MISSING,
+    STAMPED_AHEAD,
+    UNHEARD,
+    FrameNode,
+    Receiver,
+    make_ros_node,
+)
 from foreglow.runtime.ros2.output import BeamOutput
-from foreglow.runtime.ros2.results import read_beam
+from foreglow.runtime.ros2.results import read_beam, read_timing, tracks_message
 from foreglow.runtime.ros2.source import Due, FramePublisher
-from foreglow.runtime.ros2.stages import PipelineNode, ProposalNode, Setting
+from foreglow.runtime.ros2.stages import BeamNode, PipelineNode, ProposalNode, Setting
 from tests.linux import needs_processes
+from tests.stand_ins import tracks_of
 
 pytestmark = [
     pytest.mark.ros,
@@ -120,6 +131,58 @@ def test_what_stands_still_while_we_drive_is_found_by_our_speed(frame: Frame) ->
         assert seen is not None
         assert frame.motion is not None
         assert seen.speed_mps == frame.motion.speed_mps
+        timings: list[Any] = []
+        node._timing = SimpleNamespace(publish=timings.append)
+        node._work_on(joined)
+        assert {"proposals", "standing"} < read_timing(timings[0], topics.TIMING)[1].keys()
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
+def joined(node: FrameNode[Any], frame: Frame, *more: tuple[str, Callable[[Header], Any]]) -> Joined:
+    """What a node is given of a frame that is taken now."""
+    header = Header(node.clock_ns(), "S")
+    messages = dict(FramePublisher.messages(Due(frame, header))) | {topic: make(header) for topic, make in more}
+    return Joined(header, messages, time.monotonic_ns())
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError(), SystemExit(2)], ids=["error", "exit"])
+def test_a_stage_that_failed_begins_anew(frame: Frame, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It went on with what the frame that failed had left half done; a plug-in that exits ended the network."""
+    node, begun = ProposalNode(Setting(preset("foreglow"))), []
+    monkeypatch.setattr(node, "reset", lambda: begun.append(node.num_frames))
+
+    def fail(_: Any) -> None:
+        raise error
+
+    try:
+        node._work_on(joined(node, frame))
+        with monkeypatch.context() as patch:
+            patch.setattr(node, "_proposer", SimpleNamespace(propose=fail))
+            node._work_on(joined(node, frame))
+        assert node.faults == {LiveFault.STAGE_FAILED}
+        node._work_on(joined(node, frame))
+        node._work_on(joined(node, frame))
+        assert (begun, node.num_frames) == ([0, 1], 3)
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
+def test_a_beam_begins_anew_once_tracks_come_again(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker that was started again counts from 0: what was known of an old track was taken for a new one's."""
+    node, begun = BeamNode(Setting(preset("foreglow").commanding())), []
+    monkeypatch.setattr(node, "resume", lambda: begun.append(node.num_frames))
+    tracks = (topics.TRACKS, lambda header: tracks_message(header, tracks_of([])))
+    try:
+        for _ in range(2):
+            node._work_on(joined(node, frame, tracks))
+        node.idle(time.monotonic_ns() + 10**9)
+        assert node.faults == {INPUT_MISSING}
+        for _ in range(2):
+            node._work_on(joined(node, frame, tracks))
+        assert (begun, node.faults) == ([2], set())
     finally:
         node.close()
         rclpy.shutdown()

@@ -154,7 +154,7 @@ class FrameNode(ABC, Generic[Inputs]):
         """Forgets earlier frames, as at the start of a sequence."""
 
     def resume(self) -> None:
-        """Begins anew after a frame that failed."""
+        """Begins anew after a frame that failed: a stage may have taken in only a part of it."""
         self.reset()
 
     @abstractmethod
@@ -270,7 +270,8 @@ class FrameNode(ABC, Generic[Inputs]):
             fault = LiveFault.STAGE_FAILED
             self.step(header, inputs, stopwatch)
             stopwatch.end()
-        except Exception as error:  # whatever it is, the node goes on, and a node that commands commands low beam
+        except (Exception, SystemExit) as error:  # whatever a plug-in raises: the node goes on, or commands low beam
+            self._has_failed = True
             self._note(fault, error)
             self.failed(header, fault)
             return
@@ -284,7 +285,7 @@ class FrameNode(ABC, Generic[Inputs]):
             self._slowest_ms[name] = max(value, self._slowest_ms.get(name, 0.0))
         self._timing.publish(timing_message(Header(header.timestamp_ns, self.name), times_ms))
 
-    def _note(self, fault: str, error: Exception) -> None:
+    def _note(self, fault: str, error: BaseException) -> None:
         self.faults.add(fault)
         reason = words_of(error) or type(error).__name__
         self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
