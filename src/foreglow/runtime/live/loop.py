@@ -386,6 +386,7 @@ class LiveLoop:
             self._num_late,
             self._beam,
             self._reported[1],
+            is_timed=self._source.is_endless or self._mailbox.num_put > 0,
         )
         for sink in self._sinks:
             sink.write_health(health)
