@@ -89,3 +89,5 @@ def test_what_others_report_does_no_harm(ros: NoNode) -> None:
         ros.callbacks["/diagnostics"](diagnostics(name, Header(0), (), {"frames": frames}))
         assert line.text(0.0).startswith("0 frames, ")
     assert list(line._reports) == ["beam"]
+    report(ros, "beam", 1, 0, "\x1b[2J")
+    assert line.text(0.0).endswith("faults \\x1b[2J")

@@ -9,7 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from foreglow.plugins import words_of
+from foreglow.plugins import printable, words_of
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.node import Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam
@@ -81,7 +81,7 @@ class StatusLine:
             *([f"starting {', '.join(starting)}"] if starting else []),
             *([f"silent {', '.join(silent)}"] if silent else []),
         ]
-        return "; ".join(parts)
+        return printable("; ".join(parts))
 
     def _count(self, name: str, now_s: float, count: int) -> None:
         """Brings the rate up to date by the frames of a node: 0 until they were counted twice, and once none come."""
