@@ -150,7 +150,8 @@ def joined(node: FrameNode[Any], frame: Frame, *more: tuple[str, Callable[[Heade
 @pytest.mark.parametrize("error", [ZeroDivisionError(), SystemExit(2)], ids=["error", "exit"])
 def test_a_stage_that_failed_begins_anew(frame: Frame, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     """It went on with what the frame that failed had left half done; a plug-in that exits ended the network."""
-    node, begun = ProposalNode(Setting(preset("foreglow"))), []
+    node = ProposalNode(Setting(preset("foreglow")))
+    begun: list[int] = []
     monkeypatch.setattr(node, "reset", lambda: begun.append(node.num_frames))
 
     def fail(_: Any) -> None:
@@ -172,7 +173,8 @@ def test_a_stage_that_failed_begins_anew(frame: Frame, error: BaseException, mon
 
 def test_a_beam_begins_anew_once_tracks_come_again(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
     """A tracker that was started again counts from 0: what was known of an old track was taken for a new one's."""
-    node, begun = BeamNode(Setting(preset("foreglow").commanding())), []
+    node = BeamNode(Setting(preset("foreglow").commanding()))
+    begun: list[int] = []
     monkeypatch.setattr(node, "resume", lambda: begun.append(node.num_frames))
     tracks = (topics.TRACKS, lambda header: tracks_message(header, tracks_of([])))
     try:
