@@ -171,6 +171,21 @@ def test_a_stage_that_failed_begins_anew(frame: Frame, error: BaseException, mon
         rclpy.shutdown()
 
 
+def test_a_fault_that_lasts_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All shared one line a second: messages stamped ahead, noted all the time, left none for the reason of others."""
+    node, lines = ProposalNode(Setting(preset("foreglow"))), list[str]()
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(node, "ros", SimpleNamespace(get_logger=lambda: SimpleNamespace(error=lines.append)))
+            for _ in range(3):
+                node._note(STAMPED_AHEAD, ValueError("a"))
+                node._note(BAD_MESSAGE, ValueError("b"))
+        assert lines == [f"{STAMPED_AHEAD}: a", f"{BAD_MESSAGE}: b"]
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
 def test_a_beam_begins_anew_once_tracks_come_again(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
     """A tracker that was started again counts from 0: what was known of an old track was taken for a new one's."""
     node = BeamNode(Setting(preset("foreglow").commanding()))

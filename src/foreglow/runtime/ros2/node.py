@@ -137,6 +137,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self._has_failed = False
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._subscribed: dict[str, tuple[str, bool]] = {}  # resolved topics: type, and whether it is to be reliable
+        self._said_ns: dict[str, int] = {}  # when each fault was logged last
         self._looked_ns = 0
         self._slowest_ms: dict[str, float] = {}
         self._timing = self.publisher(topics.TIMING)
@@ -287,8 +288,10 @@ class FrameNode(ABC, Generic[Inputs]):
 
     def _note(self, fault: str, error: BaseException) -> None:
         self.faults.add(fault)
-        reason = words_of(error) or type(error).__name__
-        self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
+        now_ns = time.monotonic_ns()
+        if now_ns - self._said_ns.get(fault, -REPORT_NS) >= REPORT_NS:  # each for itself: one that lasts hides no other
+            self._said_ns[fault] = now_ns
+            self.ros.get_logger().error(f"{fault}: {words_of(error) or type(error).__name__}")
 
     def _report(self) -> None:
         """Publishes the node's state once a second, and whenever its faults change."""
