@@ -171,6 +171,35 @@ def test_a_stage_that_failed_begins_anew(frame: Frame, error: BaseException, mon
         rclpy.shutdown()
 
 
+def test_images_that_came_while_a_node_was_busy_are_counted(frame: Frame) -> None:
+    """Where an image is all of a frame, a later one pushed it out unseen: no node ever counted one as dropped."""
+    ros, node = make_ros_node("camera"), ProposalNode(Setting(preset("foreglow")))
+    publisher = FramePublisher(ros)
+
+    def send() -> None:
+        messages = dict(FramePublisher.messages(Due(frame, Header(node.clock_ns(), "S"))))
+        publisher.publish([(topics.IMAGE, messages[topics.IMAGE])])
+
+    try:
+        end_s = time.monotonic() + 20
+        while not node.num_frames:
+            assert time.monotonic() < end_s
+            send()
+            node.spin_once()
+        node._receiver.receive(0.2)  # what was still on its way
+        node._join.take(time.monotonic_ns())
+        before = node.num_dropped
+        for _ in range(4):
+            send()
+            time.sleep(0.05)
+        node.spin_once()
+        assert (node.num_dropped - before, node.num_frames) == (3, 2)
+    finally:
+        node.close()
+        ros.destroy_node()
+        rclpy.shutdown()
+
+
 def test_a_fault_that_lasts_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """All shared one line a second: messages stamped ahead, noted all the time, left none for the reason of others."""
     node, lines = ProposalNode(Setting(preset("foreglow"))), list[str]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -47,17 +48,26 @@ IDLE_S, WAITING_S = 0.02, 0.002
 MAX_MESSAGES = 100
 """Taken from one subscription at once."""
 
+MAX_MISSED = 1000
+"""More messages than these between two are none that were missed: the two are of different publishers."""
+
 
 class Receiver:
     """Receives all waiting messages of a node at once, and calls their callbacks, subscription by subscription.
 
     An executor of rclpy also serves services, timers and guard conditions, takes one message a round, and builds its
     wait set anew for each round. Like `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
+
+    Attributes:
+        num_missed: By topic, how many messages were lost, or pushed out of the history by later ones, between two that
+            came; 0 where the middleware does not number them.
     """
 
     def __init__(self, node: Any) -> None:
         """A receiver for an rclpy node that already has all its subscriptions."""
         self._subscriptions = list(node.subscriptions)
+        self._numbers: dict[str, int] = {}  # the publisher's, of the latest message of each topic
+        self.num_missed: Counter[str] = Counter()
         count = len(self._subscriptions)
         self._waiting = rclpy_implementation.WaitSet(count, 0, 0, 0, 0, 0, node.context.handle)
 
@@ -75,7 +85,16 @@ class Receiver:
                     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                     if taken is None:
                         break
-                    subscription.callback(taken[0])
+                    message, info = taken
+                    self._note_number(subscription.topic_name, info.get("publication_sequence_number"))
+                    subscription.callback(message)
+
+    def _note_number(self, topic: str, number: int | None) -> None:
+        if number is not None:
+            num_missed = number - self._numbers.get(topic, number) - 1
+            if 0 < num_missed <= MAX_MISSED:
+                self.num_missed[topic] += num_missed
+            self._numbers[topic] = number
 
 
 def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
@@ -136,6 +155,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self._sequence: str | None = None
         self._has_failed = False
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
+        self._exact = exact
         self._subscribed: dict[str, tuple[str, bool]] = {}  # resolved topics: type, and whether it is to be reliable
         self._said_ns: dict[str, int] = {}  # when each fault was logged last
         self._looked_ns = 0
@@ -182,6 +202,12 @@ class FrameNode(ABC, Generic[Inputs]):
     def clock_ns(self) -> int:
         """The frames' clock: ROS time."""
         return int(self.ros.get_clock().now().nanoseconds)
+
+    @property
+    def num_dropped(self) -> int:
+        """Frames of which something came, or of whose only message we know, but that were not worked on."""
+        only = self.ros.resolve_topic_name(self._exact[0]) if len(self._exact) == 1 else ""
+        return self._join.num_dropped + self._receiver.num_missed[only]
 
     def spin(self, should_stop: Callable[[], bool]) -> None:
         """Works until `should_stop` says so, or ROS is shut down."""
@@ -303,7 +329,7 @@ class FrameNode(ABC, Generic[Inputs]):
         values = {
             "faults": " ".join(faults),
             "frames": str(self.num_frames),
-            "dropped": str(self._join.num_dropped),
+            "dropped": str(self.num_dropped),
             "waiting for": " ".join(self._join.missing),
             "stamped ahead": ", ".join(f"{topic} {by_s:.2f} s" for topic, by_s in self._join.ahead_s(now_ns).items()),
             **{f"slowest {name} ms": f"{value:.2f}" for name, value in self._slowest_ms.items()},
