@@ -121,12 +121,13 @@ def _say_left_out(played: FrameSource, num_frames: int) -> None:
     """
     from foreglow.datasets import lost_parts
     from foreglow.display.summary_lines import left_out_lines
+    from foreglow.plugins import printable
     from foreglow.runs.origin import origin_name
     from foreglow.runtime.run import check_readable
 
     check_readable(origin_name(played), num_frames, played.skipped)
     for line in left_out_lines(played.skipped, len(lost_parts(played))):
-        typer.echo(line)
+        typer.echo(printable(line))
 
 
 def _check_source(
