@@ -28,6 +28,7 @@ from foreglow.options import (
 )
 
 if TYPE_CHECKING:
+    from foreglow.datasets import FrameSource
     from foreglow.runtime.ros2.node import FrameNode
     from foreglow.runtime.run import InterruptFlag
 
@@ -106,8 +107,27 @@ def source(
         if camera is not None:
             player.stream(camera, limit=reading.limit)
         else:
-            player.play(repeated(played, reading.limit, is_endless=loop), speed=speed)
+            num_frames = player.play(repeated(played, reading.limit, is_endless=loop), speed=speed)
+            if num_frames or not interrupt.is_set:
+                _say_left_out(played, num_frames)
     _finish(interrupt)
+
+
+def _say_left_out(played: FrameSource, num_frames: int) -> None:
+    """Prints what was left out of a source of which so many frames were played.
+
+    Raises:
+        ValueError: If that were all of them.
+    """
+    from foreglow.datasets import lost_parts
+    from foreglow.display.summary_lines import left_out_lines
+    from foreglow.plugins import printable
+    from foreglow.runs.origin import origin_name
+    from foreglow.runtime.run import check_readable
+
+    check_readable(origin_name(played), num_frames, played.skipped)
+    for line in left_out_lines(played.skipped, len(lost_parts(played))):
+        typer.echo(printable(line))
 
 
 def _check_source(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,11 +41,7 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
         )
     if summary.beam is not None:
         lines += beam_lines(summary.beam, summary.num_frames)
-    if summary.num_skipped:
-        listed = "listed in summary.json" if out.is_dir() else f"the first: {summary.skipped[0]}"
-        lines.append(f"{summary.num_skipped} skipped as unreadable, {listed}")
-    if summary.num_lost_parts:
-        lines.append("any number of frames may be missing: parts of the file could not be read")
+    lines += left_out_lines(summary.skipped, summary.num_lost_parts, "listed in summary.json" if out.is_dir() else "")
     if is_interrupted:
         lines.append("interrupted: the results are complete up to there")
     if out.is_dir():
@@ -53,6 +50,14 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
     else:
         lines.append(f"look at {out}, such as in Foxglove")
     return [printable(line) for line in lines]
+
+
+def left_out_lines(skipped: Sequence[str], num_lost_parts: int, listed: str = "") -> list[str]:
+    """What was left out of a source; `skipped` and `num_lost_parts` as in `RunSummary`, `listed` is where to look."""
+    lines = [f"{len(skipped)} skipped as unreadable, {listed or f'the first: {skipped[0]}'}"] if skipped else []
+    if num_lost_parts:
+        lines.append("any number of frames may be missing: parts of the file could not be read")
+    return lines
 
 
 def beam_lines(beam: BeamSummary, num_frames: int) -> list[str]:

@@ -21,6 +21,8 @@ class Health:
         num_late: Frames whose command came more than a frame period after the image.
         beam: The command in force; None before the first.
         details: What is known about the faults, such as why the camera cannot be opened.
+        is_timed: Whether `timestamp_ns` is a time of the frames: false before the first frame of a replay, with which
+            its clock begins.
     """
 
     timestamp_ns: int
@@ -30,6 +32,7 @@ class Health:
     num_late: int
     beam: BeamCommand | None
     details: str = ""
+    is_timed: bool = True
 
 
 class LiveSink(ResultSink, Protocol):

@@ -135,7 +135,7 @@ def run_apart(
                 tally.extend(part.tally)
                 if watcher is not None and part.watcher is not None:
                     watcher.add(part.watcher)
-            check_readable(name, tally, skipped)
+            check_readable(name, tally.num_frames, skipped)
             folder.join_parts(parts, [part.name for part in runs])
             is_cut = interrupt.is_set
             summary = tally.summary(

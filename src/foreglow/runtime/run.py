@@ -142,7 +142,7 @@ def run(
         all_sinks.extend(sinks)
         with InterruptFlag() as interrupt:
             step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
-            check_readable(name, tally, source.skipped)
+            check_readable(name, tally.num_frames, source.skipped)
             if origin is not None and limit is not None and tally.num_frames < limit and not interrupt.is_set:
                 reason = also_left_out(source.skipped, origin.skipped)
                 raise ValueError(
@@ -197,9 +197,9 @@ def step_through(
             break
 
 
-def check_readable(name: str, tally: Tally, skipped: Sequence[str]) -> None:
-    """ValueError if all frames of the source called `name` were skipped."""
-    if not tally.num_frames and skipped:
+def check_readable(name: str, num_frames: int, skipped: Sequence[str]) -> None:
+    """ValueError if all frames of the source called `name` were skipped, so that there are none."""
+    if not num_frames and skipped:
         line = skipped[0]
         ends = [found.start() for found in re.finditer(": ", line)]
         end = next((end for end in ends if Path(line[:end]).absolute() == Path(name).absolute()), None)

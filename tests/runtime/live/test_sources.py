@@ -108,6 +108,27 @@ def test_live_results_are_those_of_a_run_off_line(drive: list[Frame]) -> None:
     assert summary.num_dropped == 0
 
 
+@pytest.mark.parametrize("speed", [1.0, math.inf])
+def test_a_recorded_replay_begins_with_its_first_frame(speed: float, drive: list[Frame], tmp_path: Path) -> None:
+    """A report from before it, whose clock was at 0, made the recording of a drive of today one of decades."""
+    mcap_reader = pytest.importorskip("mcap.reader")
+    from foreglow.runtime.mcap import McapRecorder
+
+    class Slow(ListSource):
+        def __iter__(self) -> Iterator[Frame]:
+            time.sleep(0.2)  # as opening a file takes
+            yield from super().__iter__()
+
+    today_ns = 1_700_000_000_000_000_000
+    frames = [dataclasses.replace(one, timestamp_ns=today_ns + one.timestamp_ns) for one in drive[:20]]
+    recorder = McapRecorder(tmp_path / "drive.mcap")
+    run_live(Paced(Slow(frames), speed), live_config(), sinks=[recorder])
+    with (tmp_path / "drive.mcap").open("rb") as file:
+        messages = list(mcap_reader.make_reader(file).iter_messages())
+    assert "/health" in {channel.topic for _, channel, _ in messages}
+    assert min(message.log_time for _, _, message in messages) >= frames[0].timestamp_ns
+
+
 def test_overload_drops_frames_and_stays_in_time(drive: list[Frame]) -> None:
     frames = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns) for frame in drive]
     summary, _ = run_live(Paced(ListSource(frames), speed=60.0), live_config())

@@ -15,7 +15,9 @@ from hypothesis.extra import numpy as hnp
 
 pytest.importorskip("rclpy")
 
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header as HeaderMessage
 
 from foreglow.calibration import Mount
 from foreglow.geometry import Camera, Floats, MountSigmas, Pose, rotation
@@ -46,6 +48,13 @@ IMAGE = np.random.default_rng(0).integers(0, 256, (64, 80), np.uint8)
 @given(st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1), st.text(max_size=20))
 def test_headers_come_back(timestamp_ns: int, sequence: str) -> None:
     assert read_header(header_message(Header(timestamp_ns, sequence)), "t") == Header(timestamp_ns, sequence)
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+def test_a_name_that_is_no_unicode_can_be_sent() -> None:
+    """A sequence of such a name ended its recording."""
+    sent = serialize_message(header_message(Header(5, "S\udcff")))
+    assert read_header(deserialize_message(sent, HeaderMessage), "t") == Header(5, "S?")
 
 
 def test_headers_are_checked() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -133,6 +135,25 @@ def test_nothing_is_waited_for_too_long_or_held_too_long() -> None:
     joined = join.take(Join.HOLD_NS + 1)  # its topic is quiet by now
     assert joined is not None
     assert "twist" not in joined.messages
+
+
+@pytest.mark.parametrize(("step_ms", "late_ms"), [(100, 0), (16, 18)], ids=["rare", "late"])
+def test_a_frame_that_waits_is_not_held_up_by_the_next(step_ms: int, late_ms: int) -> None:
+    """Each frame of a camera above 50 Hz began to wait anew, so that next to none was ever worked on."""
+    join = Join(("image",), ("twist",))
+    taken_ms = []
+    for now_ms in range(2000):
+        stamp_ms = now_ms - late_ms
+        if stamp_ms >= 0 and stamp_ms % step_ms == 0:
+            join.put("twist", Header(stamp_ms * MS), stamp_ms, now_ms * MS)
+        if now_ms % 16 == 0:
+            join.put("image", Header(now_ms * MS), now_ms, now_ms * MS)
+        joined = join.take(now_ms * MS)
+        if joined is not None:
+            taken_ms.append(joined.messages["image"])
+            assert now_ms - taken_ms[-1] <= Join.PATIENCE_NS // MS
+    assert len(taken_ms) > 110
+    assert max(later - before for before, later in itertools.pairwise(taken_ms)) <= 32
 
 
 class Clock:

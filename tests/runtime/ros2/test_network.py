@@ -194,6 +194,19 @@ def test_what_cannot_be_played_is_said_at_once(tmp_path: Path) -> None:
     assert "no such file" in complaint("ros2", "all", tmp_path / "no")
 
 
+def test_what_a_source_leaves_out_is_said(tmp_path: Path, frames: list[Frame]) -> None:
+    """It was played as if that were all, and a source without any readable image as if it had none."""
+    line = foreglow("source", str(tmp_path), "--on-error", "skip")
+    (tmp_path / "1.png").write_bytes(b"no image")
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"{tmp_path}: expected a readable frame; {tmp_path / '1.png'}: " in done.stderr
+    cv2.imwrite(str(tmp_path / "0.png"), frames[0].image)
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"1 skipped as unreadable, the first: {tmp_path / '1.png'}: ")
+
+
 @needs_processes
 def test_no_node_outlives_the_command() -> None:
     with subprocess.Popen(foreglow("all", str(shipped_drive()), "--loop"), stderr=subprocess.DEVNULL) as command:

@@ -20,6 +20,7 @@ pytest.importorskip("rclpy")
 from sensor_msgs.msg import PointField
 
 from foreglow.photometry import NUM_LEDS
+from foreglow.pipeline import MAX_TRACKS
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.results import (
     beam_message,
@@ -262,6 +263,14 @@ def test_values_that_are_none_are_refused() -> None:
         read_tracks(message, "tracks")
     with pytest.raises(ValueError, match="id: expected numbers of 32 bits"):
         tracks_message(HEADER, dataclasses.replace(tracks, ids=np.array([2**31])))
+
+
+def test_more_tracks_than_a_beam_is_made_of_are_refused() -> None:
+    """A table of 100,000 held the beam up for seconds."""
+    assert len(read_tracks(tracks_message(HEADER, tracks_of(MAX_TRACKS)), "tracks")[1]) == MAX_TRACKS
+    message = tracks_message(HEADER, tracks_of(MAX_TRACKS + 1))
+    with pytest.raises(ValueError, match=f"tracks: width: expected at most {MAX_TRACKS} tracks, got {MAX_TRACKS + 1}"):
+        read_tracks(message, "tracks")
 
 
 def test_commands_that_are_none_are_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -16,6 +17,7 @@ import rclpy
 
 from benchmarks.faulty import ScriptedCamera
 from foreglow.datasets.vehicle_logs import VehicleFiles
+from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.environment import prepare
 from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header
@@ -156,3 +158,29 @@ def test_a_live_camera_is_stamped_with_its_exposure_and_opened_anew(monkeypatch:
     stamps_ns = [due.header.timestamp_ns for due, _ in sent]
     assert stamps_ns == sorted(set(stamps_ns))
     assert {due.header.sequence for due, _ in sent} == {"S00001"}
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+@pytest.mark.usefixtures("domain")
+def test_a_network_whose_topics_have_other_names_is_not_waited_for_in_vain() -> None:
+    """The source counted those who use the topics' own names: there were none, and it never began."""
+    looks = itertools.count()
+    player = Player(lambda: next(looks) > 100, ["--ros-args", "-r", "beam:=/lamps/beam", "-r", "detections:=found"])
+    try:
+        assert not player._is_listened_to()
+        for topic in (topics.BEAM, topics.DETECTIONS):  # as the node `pipeline`
+            player.ros.create_publisher(topics.TYPES[topic], topic, topics.publisher_quality(topic))
+        player.wait()
+        assert next(looks) <= 100
+    finally:
+        player.ros.destroy_node()
+        rclpy.shutdown()
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+@pytest.mark.usefixtures("domain")
+def test_nothing_is_played_by_the_clock_of_a_simulation() -> None:
+    """It stands still for a source, which hears no clock: no frame was ever due."""
+    with pytest.raises(ValueError, match="use_sim_time: expected false for a source"):
+        Player(lambda: True, ["--ros-args", "-p", "use_sim_time:=true"])
+    rclpy.shutdown()

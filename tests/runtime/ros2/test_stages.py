@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import os
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,13 +30,24 @@ from rclpy.qos import qos_profile_sensor_data
 
 from foreglow.runtime.live import LiveFault
 from foreglow.runtime.ros2 import topics
+from foreglow.runtime.ros2.environment import NUM_PARTICIPANTS, PARTICIPANT
 from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, STAMPED_AHEAD, UNHEARD, Receiver, make_ros_node
+from foreglow.runtime.ros2.join import Joined
+from foreglow.runtime.ros2.node import (
+    BAD_MESSAGE,
+    INPUT_MISSING,
+    STAMPED_AHEAD,
+    UNHEARD,
+    FrameNode,
+    Receiver,
+    make_ros_node,
+)
 from foreglow.runtime.ros2.output import BeamOutput
-from foreglow.runtime.ros2.results import read_beam
+from foreglow.runtime.ros2.results import read_beam, read_timing, tracks_message
 from foreglow.runtime.ros2.source import Due, FramePublisher
-from foreglow.runtime.ros2.stages import PipelineNode, ProposalNode, Setting
+from foreglow.runtime.ros2.stages import BeamNode, PipelineNode, ProposalNode, Setting
 from tests.linux import needs_processes
+from tests.stand_ins import tracks_of
 
 pytestmark = [
     pytest.mark.ros,
@@ -116,6 +131,104 @@ def test_what_stands_still_while_we_drive_is_found_by_our_speed(frame: Frame) ->
         assert seen is not None
         assert frame.motion is not None
         assert seen.speed_mps == frame.motion.speed_mps
+        timings: list[Any] = []
+        node._timing = SimpleNamespace(publish=timings.append)
+        node._work_on(joined)
+        assert {"proposals", "standing"} < read_timing(timings[0], topics.TIMING)[1].keys()
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
+def joined(node: FrameNode[Any], frame: Frame, *more: tuple[str, Callable[[Header], Any]]) -> Joined:
+    """What a node is given of a frame that is taken now."""
+    header = Header(node.clock_ns(), "S")
+    messages = dict(FramePublisher.messages(Due(frame, header))) | {topic: make(header) for topic, make in more}
+    return Joined(header, messages, time.monotonic_ns())
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError(), SystemExit(2)], ids=["error", "exit"])
+def test_a_stage_that_failed_begins_anew(frame: Frame, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It went on with what the frame that failed had left half done; a plug-in that exits ended the network."""
+    node = ProposalNode(Setting(preset("foreglow")))
+    begun: list[int] = []
+    monkeypatch.setattr(node, "reset", lambda: begun.append(node.num_frames))
+
+    def fail(_: Any) -> None:
+        raise error
+
+    try:
+        node._work_on(joined(node, frame))
+        with monkeypatch.context() as patch:
+            patch.setattr(node, "_proposer", SimpleNamespace(propose=fail))
+            node._work_on(joined(node, frame))
+        assert node.faults == {LiveFault.STAGE_FAILED}
+        node._work_on(joined(node, frame))
+        node._work_on(joined(node, frame))
+        assert (begun, node.num_frames) == ([0, 1], 3)
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
+def test_images_that_came_while_a_node_was_busy_are_counted(frame: Frame) -> None:
+    """Where an image is all of a frame, a later one pushed it out unseen: no node ever counted one as dropped."""
+    ros, node = make_ros_node("camera"), ProposalNode(Setting(preset("foreglow")))
+    publisher = FramePublisher(ros)
+
+    def send() -> None:
+        messages = dict(FramePublisher.messages(Due(frame, Header(node.clock_ns(), "S"))))
+        publisher.publish([(topics.IMAGE, messages[topics.IMAGE])])
+
+    try:
+        end_s = time.monotonic() + 20
+        while not node.num_frames:
+            assert time.monotonic() < end_s
+            send()
+            node.spin_once()
+        node._receiver.receive(0.2)  # what was still on its way
+        node._join.take(time.monotonic_ns())
+        before = node.num_dropped
+        for _ in range(4):
+            send()
+            time.sleep(0.05)
+        node.spin_once()
+        assert (node.num_dropped - before, node.num_frames) == (3, 2)
+    finally:
+        node.close()
+        ros.destroy_node()
+        rclpy.shutdown()
+
+
+def test_a_fault_that_lasts_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All shared one line a second: messages stamped ahead, noted all the time, left none for the reason of others."""
+    node, lines = ProposalNode(Setting(preset("foreglow"))), list[str]()
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(node, "ros", SimpleNamespace(get_logger=lambda: SimpleNamespace(error=lines.append)))
+            for _ in range(3):
+                node._note(STAMPED_AHEAD, ValueError("a"))
+                node._note(BAD_MESSAGE, ValueError("b"))
+        assert lines == [f"{STAMPED_AHEAD}: a", f"{BAD_MESSAGE}: b"]
+    finally:
+        node.close()
+        rclpy.shutdown()
+
+
+def test_a_beam_begins_anew_once_tracks_come_again(frame: Frame, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker that was started again counts from 0: what was known of an old track was taken for a new one's."""
+    node = BeamNode(Setting(preset("foreglow").commanding()))
+    begun: list[int] = []
+    monkeypatch.setattr(node, "resume", lambda: begun.append(node.num_frames))
+    tracks = (topics.TRACKS, lambda header: tracks_message(header, tracks_of([])))
+    try:
+        for _ in range(2):
+            node._work_on(joined(node, frame, tracks))
+        node.idle(time.monotonic_ns() + 10**9)
+        assert node.faults == {INPUT_MISSING}
+        for _ in range(2):
+            node._work_on(joined(node, frame, tracks))
+        assert (begun, node.faults) == ([2], set())
     finally:
         node.close()
         rclpy.shutdown()
@@ -232,6 +345,32 @@ def test_a_publisher_that_nobody_hears_is_low_beam(bench: Bench, frame: Frame) -
     publisher.destroy()
     bench.until("", frame)
     bench.wait(lambda: any(state.message == UNHEARD for state in bench.states))
+
+
+OTHER_TYPE = """
+import rclpy
+from std_msgs.msg import Bool
+from foreglow.runtime.ros2.node import make_ros_node
+node = make_ros_node("decoder")
+publisher = node.create_publisher(Bool, "camera/damage", 10)
+input()
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+@needs_processes
+def test_a_publisher_of_another_type_is_low_beam(bench: Bench, frame: Frame) -> None:
+    """Nothing that it says is delivered either, such as that images are damaged: the light stayed on."""
+    bench.until("", frame)
+    other = {PARTICIPANT: str((int(os.environ[PARTICIPANT]) + 1) % NUM_PARTICIPANTS)}
+    with subprocess.Popen(
+        [sys.executable, "-c", OTHER_TYPE], stdin=subprocess.PIPE, env={**os.environ, **other}
+    ) as decoder:
+        bench.until(UNHEARD, frame)
+        assert bench.commands[-1].mode == BeamMode.LOW
+        decoder.communicate(b"\n")
+    bench.until("", frame)
 
 
 def test_no_socket_is_open_to_others(bench: Bench, frame: Frame) -> None:

@@ -66,6 +66,22 @@ def test_a_node_that_starts_again_counts_from_there(ros: NoNode) -> None:
     assert text == "20 frames, 18.0 a second; no command yet"
 
 
+def test_what_is_over_is_not_said_to_go_on(ros: NoNode) -> None:
+    """A beam that had died still had light, and frames that had stopped still their rate."""
+    line = StatusLine(["tracking", "beam"])
+    ros.callbacks["beam"](beam_message(Header(5), BeamCommand(5, BeamMode.GLARE_FREE, np.full((2, NUM_LEDS), 0.5))))
+    for second, frames in enumerate((18, 36, 36, 36, 36)):
+        report(ros, "tracking", 2 * frames)
+        report(ros, "beam", frames)
+        text = line.text(2.0 * second)
+        if second == 1:
+            assert text == "36 frames, 9.0 a second; glare-free"
+    assert text == "36 frames, 0.0 a second; no command"
+    report(ros, "tracking", 90)
+    assert line.text(12.5) == "90 frames, 0.0 a second; no command; silent beam"
+    assert line.text(100.0) == "0 frames, 0.0 a second; no command; silent tracking, beam"
+
+
 def test_what_others_report_does_no_harm(ros: NoNode) -> None:
     """The network's topics are open to all: a number that is none ended the network, and names were kept for ever."""
     line = StatusLine(["beam"])
@@ -73,3 +89,5 @@ def test_what_others_report_does_no_harm(ros: NoNode) -> None:
         ros.callbacks["/diagnostics"](diagnostics(name, Header(0), (), {"frames": frames}))
         assert line.text(0.0).startswith("0 frames, ")
     assert list(line._reports) == ["beam"]
+    report(ros, "beam", 1, 0, "\x1b[2J")
+    assert line.text(0.0).endswith("faults \\x1b[2J")

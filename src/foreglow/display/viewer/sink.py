@@ -113,12 +113,14 @@ class RerunSink:
         self._log(self._axis.time_ns(frame), frame.frame, entities)
 
     def write_health(self, health: Health) -> None:
-        """Notes what is wrong, when that changes.
+        """Notes what is wrong, when that changes and its time is known.
 
         Raises:
             OSError: If a file cannot be written; the message names the path.
         """
-        self._log(self._axis.within_sequence_ns(health.timestamp_ns), None, self._note_faults("health", health.faults))
+        if health.is_timed:
+            time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
+            self._log(time_ns, None, self._note_faults("health", health.faults))
 
     def close(self) -> None:
         """Completes the recording; a window stays open.

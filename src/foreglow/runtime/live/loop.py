@@ -186,7 +186,7 @@ class LiveLoop:
             if self._error is not None and not (self._tally.num_frames and isinstance(self._error, READ_ERRORS)):
                 raise self._error
             if not self._mailbox.num_put:
-                check_readable(self._source.name, self._tally, self._source.skipped)
+                check_readable(self._source.name, self._tally.num_frames, self._source.skipped)
             summary = self._summary(pipeline, is_complete=is_complete and self._error is None)
         if self._error is not None:
             raise LiveEndedError(words_of(self._error), summary) from self._error
@@ -386,6 +386,7 @@ class LiveLoop:
             self._num_late,
             self._beam,
             self._reported[1],
+            is_timed=self._source.is_endless or self._mailbox.num_put > 0,
         )
         for sink in self._sinks:
             sink.write_health(health)

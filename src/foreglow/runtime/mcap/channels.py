@@ -51,7 +51,7 @@ FRAME_SCHEMA = _described(FRAME_TYPE, FrameMessage)
 RESULT_SCHEMA = _described("foreglow.Result", FrameLine)
 """A line of `frames.jsonl`, with the times of `times.jsonl`."""
 
-_STAGES = ("proposals", "classifier", "distance", "tracking", "beam", "capture", "queue", "send")
+_STAGES = ("proposals", "standing", "classifier", "distance", "tracking", "beam", "capture", "queue", "send")
 RESULT_SCHEMA["properties"]["stage_ms"] = {
     "type": "object",
     "properties": {name: {"type": "number"} for name in _STAGES},

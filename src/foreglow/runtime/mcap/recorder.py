@@ -101,15 +101,18 @@ class McapRecorder:
         self._file.wrote(time_ns)
 
     def write_health(self, health: Health) -> None:
-        """Adds a health report, and writes the chunk.
+        """Adds a health report that has a time, and writes the chunk.
 
         Raises:
             OSError: If the disk is full; the message names the path.
             ValueError: If its time does not fit a timestamp.
         """
+        if not health.is_timed:
+            return
         time_ns = self._axis.within_sequence_ns(health.timestamp_ns)
         self._stamp(time_ns)
         record = fields_to_json(dataclasses.replace(health, beam=None))
+        del record["is_timed"]
         record["beam"] = None if health.beam is None else BeamMode(health.beam.mode).name.lower()
         self._health.log(_json(record), log_time=time_ns)
         self._note_faults("fault", health.faults, time_ns)

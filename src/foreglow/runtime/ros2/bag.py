@@ -95,12 +95,8 @@ class BagRecorder:
 
 
 def _channel(topic: str, kind: type[Any], context: foxglove.Context) -> foxglove.Channel:
-    schema = foxglove.Schema(name=_full_name(kind), encoding="ros2msg", data=definition(kind).encode())
+    schema = foxglove.Schema(name=topics.type_name(kind), encoding="ros2msg", data=definition(kind).encode())
     return foxglove.Channel(f"/{topic}", schema=schema, message_encoding="cdr", context=context)
-
-
-def _full_name(kind: type[Any]) -> str:
-    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def definition(kind: type[Any]) -> str:
@@ -109,7 +105,7 @@ def definition(kind: type[Any]) -> str:
     waiting = [kind]
     while waiting:
         described, lines = waiting.pop(0), []
-        name = _full_name(described).replace("/msg", "")
+        name = topics.type_name(described).replace("/msg", "")
         if name in texts:
             continue
         for field, declared in described.get_fields_and_field_types().items():

@@ -11,6 +11,8 @@ from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from std_msgs.msg import Header as HeaderMessage
 
+from foreglow.files import in_unicode
+
 MAX_NAME = 256
 """Longest name of a sequence, characters."""
 
@@ -29,7 +31,7 @@ class Header:
 
 
 def header_message(header: Header) -> HeaderMessage:
-    """The header as a ROS message.
+    """The header as a ROS message, in whose name `?` stands for what is no Unicode.
 
     Raises:
         ValueError: If the time is more than 68 years from zero: a stamp has seconds of 32 bits.
@@ -37,7 +39,7 @@ def header_message(header: Header) -> HeaderMessage:
     sec, nanosec = divmod(header.timestamp_ns, 1_000_000_000)
     if not -(2**31) <= sec < 2**31:
         raise ValueError(f"header.stamp: expected a time within 68 years of zero, got {sec} s")
-    return HeaderMessage(stamp=Time(sec=sec, nanosec=nanosec), frame_id=header.sequence)
+    return HeaderMessage(stamp=Time(sec=sec, nanosec=nanosec), frame_id=in_unicode(header.sequence))
 
 
 def read_header(message: HeaderMessage, topic: str) -> Header:

@@ -77,7 +77,8 @@ class Join:
     Messages on `exact` topics carry the frame's header; a frame is complete when it has one on each of them. Messages
     on `sampled` topics have times of their own: a frame takes the latest one that is not later than the frame and at
     most `HOLD_NS` older. If a sampled topic is active but its latest message is older than the frame, the frame waits
-    for the next one, `patience_ns` at most, so that all nodes take the same sample.
+    for the next one, `patience_ns` at most, so that all nodes take the same sample. A frame that is complete meanwhile
+    waits for its own, and holds up none that has waited.
 
     A sample that is stamped more than `AHEAD_NS` later than the headers' clock is never used: kept until its time
     comes, it would be believed long after its publisher died. One that is ahead by less ages from its receipt.
@@ -140,16 +141,15 @@ class Join:
             self._drop(next(iter(self._frames)))
 
     def take(self, now_ns: int) -> Joined | None:
-        """The complete frame that arrived last; None while there is none, or while it waits for a sample."""
+        """The frame that arrived last of those that are complete and wait for no sample; None while there is none."""
         self._look_at_clock(now_ns)
         complete = [header for header, parts in self._frames.items() if len(parts.messages) == len(self._exact)]
-        if not complete:
+        ready = [header for header in complete if not self._waits(header, now_ns)]
+        self.is_waiting = complete[-1:] != ready[-1:]
+        if not ready:
             return None
-        header = complete[-1]
+        header = ready[-1]
         parts = self._frames[header]
-        self.is_waiting = any(self._is_awaited(samples, header, parts, now_ns) for samples in self._sampled.values())
-        if self.is_waiting:
-            return None
         for earlier in list(self._frames):
             if earlier == header:
                 break
@@ -187,6 +187,11 @@ class Join:
                 samples.forget_ahead(now_ns, clock_ns)
         self._clock_seen_ns = clock_ns
         return clock_ns
+
+    def _waits(self, header: Header, now_ns: int) -> bool:
+        """Whether a complete frame waits for a sample."""
+        parts = self._frames[header]
+        return any(self._is_awaited(samples, header, parts, now_ns) for samples in self._sampled.values())
 
     def _is_awaited(self, samples: _Samples, header: Header, parts: _Parts, now_ns: int) -> bool:
         """Whether a sample nearer to the frame's time may still arrive."""

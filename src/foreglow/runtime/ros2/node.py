@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 import rclpy
@@ -32,7 +33,8 @@ BAD_MESSAGE = "bad_message"
 INPUT_MISSING = "input_missing"
 """Fault: no input came in time."""
 UNHEARD = "unheard_publisher"
-"""Fault: someone sends on a topic with best effort where we need reliable messages, and get none of those."""
+"""Fault: someone sends on a topic with best effort where we need reliable messages, or messages of another type, and we
+get none of those."""
 STAMPED_AHEAD = "stamped_ahead"
 """Fault: a message is stamped later than ROS time, so nobody knows of when it is; it was not used."""
 
@@ -46,17 +48,26 @@ IDLE_S, WAITING_S = 0.02, 0.002
 MAX_MESSAGES = 100
 """Taken from one subscription at once."""
 
+MAX_MISSED = 1000
+"""More messages than these between two are none that were missed: the two are of different publishers."""
+
 
 class Receiver:
     """Receives all waiting messages of a node at once, and calls their callbacks, subscription by subscription.
 
     An executor of rclpy also serves services, timers and guard conditions, takes one message a round, and builds its
     wait set anew for each round. Like `rclpy.wait_for_message`, this waits for subscriptions and nothing else.
+
+    Attributes:
+        num_missed: By topic, how many messages were lost, or pushed out of the history by later ones, between two that
+            came; 0 where the middleware does not number them.
     """
 
     def __init__(self, node: Any) -> None:
         """A receiver for an rclpy node that already has all its subscriptions."""
         self._subscriptions = list(node.subscriptions)
+        self._numbers: dict[str, int] = {}  # the publisher's, of the latest message of each topic
+        self.num_missed: Counter[str] = Counter()
         count = len(self._subscriptions)
         self._waiting = rclpy_implementation.WaitSet(count, 0, 0, 0, 0, 0, node.context.handle)
 
@@ -74,7 +85,16 @@ class Receiver:
                     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                     if taken is None:
                         break
-                    subscription.callback(taken[0])
+                    message, info = taken
+                    self._note_number(subscription.topic_name, info.get("publication_sequence_number"))
+                    subscription.callback(message)
+
+    def _note_number(self, topic: str, number: int | None) -> None:
+        if number is not None:
+            num_missed = number - self._numbers.get(topic, number) - 1
+            if 0 < num_missed <= MAX_MISSED:
+                self.num_missed[topic] += num_missed
+            self._numbers[topic] = number
 
 
 def make_ros_node(name: str, ros_arguments: Sequence[str] = ()) -> Any:
@@ -135,7 +155,9 @@ class FrameNode(ABC, Generic[Inputs]):
         self._sequence: str | None = None
         self._has_failed = False
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
-        self._reliable: list[str] = []
+        self._exact = exact
+        self._subscribed: dict[str, tuple[str, bool]] = {}  # resolved topics: type, and whether it is to be reliable
+        self._said_ns: dict[str, int] = {}  # when each fault was logged last
         self._looked_ns = 0
         self._slowest_ms: dict[str, float] = {}
         self._timing = self.publisher(topics.TIMING)
@@ -153,7 +175,7 @@ class FrameNode(ABC, Generic[Inputs]):
         """Forgets earlier frames, as at the start of a sequence."""
 
     def resume(self) -> None:
-        """Begins anew after a frame that failed."""
+        """Begins anew after a frame that failed: a stage may have taken in only a part of it."""
         self.reset()
 
     @abstractmethod
@@ -180,6 +202,12 @@ class FrameNode(ABC, Generic[Inputs]):
     def clock_ns(self) -> int:
         """The frames' clock: ROS time."""
         return int(self.ros.get_clock().now().nanoseconds)
+
+    @property
+    def num_dropped(self) -> int:
+        """Frames of which something came, or of whose only message we know, but that were not worked on."""
+        only = self.ros.resolve_topic_name(self._exact[0]) if len(self._exact) == 1 else ""
+        return self._join.num_dropped + self._receiver.num_missed[only]
 
     def spin(self, should_stop: Callable[[], bool]) -> None:
         """Works until `should_stop` says so, or ROS is shut down."""
@@ -218,8 +246,8 @@ class FrameNode(ABC, Generic[Inputs]):
 
         quality = topics.subscriber_quality(topic, depth)
         subscription = self.ros.create_subscription(topics.TYPES[topic], topic, take, quality)
-        if quality.reliability == ReliabilityPolicy.RELIABLE:
-            self._reliable.append(subscription.topic_name)
+        is_reliable = quality.reliability == ReliabilityPolicy.RELIABLE
+        self._subscribed[subscription.topic_name] = topics.type_name(topics.TYPES[topic]), is_reliable
 
     def _look_for_ahead(self, now_ns: int) -> None:
         """Looks whether messages are stamped ahead of ROS time: what they say, such as damage, is not known in time."""
@@ -235,18 +263,20 @@ class FrameNode(ABC, Generic[Inputs]):
         if now_ns - self._looked_ns < REPORT_NS:
             return
         self._looked_ns = now_ns
-        unheard = [
-            topic
-            for topic in self._reliable
-            for publisher in self.ros.get_publishers_info_by_topic(topic)
-            if publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-        ]
-        if unheard:
-            self._note(
-                UNHEARD, ValueError(f"{unheard[0]}: expected a publisher with reliable messages, got best effort")
-            )
+        unheard = next(self._unheard(), None)
+        if unheard is not None:
+            self._note(UNHEARD, ValueError(unheard))
         else:
             self.faults.discard(UNHEARD)
+
+    def _unheard(self) -> Iterator[str]:
+        """What is wrong with each publisher of whose messages none comes here."""
+        for topic, (expected, is_reliable) in self._subscribed.items():
+            for publisher in self.ros.get_publishers_info_by_topic(topic):
+                if publisher.topic_type != expected:
+                    yield f"{topic}: expected publishers of {expected}, got {publisher.topic_type}"
+                elif is_reliable and publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
+                    yield f"{topic}: expected publishers of reliable messages, got best effort"
 
     def _work_on(self, joined: Joined) -> None:
         header = joined.header
@@ -267,7 +297,8 @@ class FrameNode(ABC, Generic[Inputs]):
             fault = LiveFault.STAGE_FAILED
             self.step(header, inputs, stopwatch)
             stopwatch.end()
-        except Exception as error:  # whatever it is, the node goes on, and a node that commands commands low beam
+        except (Exception, SystemExit) as error:  # whatever a plug-in raises: the node goes on, or commands low beam
+            self._has_failed = True
             self._note(fault, error)
             self.failed(header, fault)
             return
@@ -281,10 +312,12 @@ class FrameNode(ABC, Generic[Inputs]):
             self._slowest_ms[name] = max(value, self._slowest_ms.get(name, 0.0))
         self._timing.publish(timing_message(Header(header.timestamp_ns, self.name), times_ms))
 
-    def _note(self, fault: str, error: Exception) -> None:
+    def _note(self, fault: str, error: BaseException) -> None:
         self.faults.add(fault)
-        reason = words_of(error) or type(error).__name__
-        self.ros.get_logger().error(f"{fault}: {reason}", throttle_duration_sec=1.0)
+        now_ns = time.monotonic_ns()
+        if now_ns - self._said_ns.get(fault, -REPORT_NS) >= REPORT_NS:  # each for itself: one that lasts hides no other
+            self._said_ns[fault] = now_ns
+            self.ros.get_logger().error(f"{fault}: {words_of(error) or type(error).__name__}")
 
     def _report(self) -> None:
         """Publishes the node's state once a second, and whenever its faults change."""
@@ -296,7 +329,7 @@ class FrameNode(ABC, Generic[Inputs]):
         values = {
             "faults": " ".join(faults),
             "frames": str(self.num_frames),
-            "dropped": str(self._join.num_dropped),
+            "dropped": str(self.num_dropped),
             "waiting for": " ".join(self._join.missing),
             "stamped ahead": ", ".join(f"{topic} {by_s:.2f} s" for topic, by_s in self._join.ahead_s(now_ns).items()),
             **{f"slowest {name} ms": f"{value:.2f}" for name, value in self._slowest_ms.items()},

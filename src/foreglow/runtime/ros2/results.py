@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
+from foreglow.pipeline import MAX_TRACKS
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.table import Columns, Field, read_table, table_message
 from foreglow.types import BeamCommand, BeamMode, Detections, Proposals, Ranges, Tracks, TrackState, Vehicles
@@ -62,7 +63,7 @@ BEAM = {
 }
 """`gaps_rad` has the right and left border of each gap in turn; `faults` is UTF-8 text, one fault a line."""
 
-_STAGES = ("proposals", "classifier", "distance", "tracking", "beam")
+_STAGES = ("proposals", "standing", "classifier", "distance", "tracking", "beam")
 
 TIMING = {name: Field("f8", is_optional=True) for name in ("received", "wait", "decode", *_STAGES, "send", "done")}
 """Milliseconds. `received` and `done` are from exposure until the frame's last message was received, and until all
@@ -162,8 +163,11 @@ def read_tracks(message: PointCloud2, topic: str) -> tuple[Header, Tracks]:
     """The tracks.
 
     Raises:
-        ValueError: If it is no such table, or a value is not valid in `Tracks`.
+        ValueError: If it is no such table, has more rows than a frame may have tracks, or a value is not valid in
+            `Tracks`.
     """
+    if message.width > MAX_TRACKS:
+        raise ValueError(f"{topic}: width: expected at most {MAX_TRACKS} tracks, got {message.width}")
     header, columns = read_table(message, topic, TRACKS | VEHICLES)
     vehicles = _vehicles({name: columns.pop(name) for name in VEHICLES if name in columns}, topic)
     _check_states(columns["state"], f"{topic}: state")

@@ -126,8 +126,15 @@ class Player:
     """The node `source`."""
 
     def __init__(self, should_stop: Callable[[], bool], ros_arguments: Sequence[str] = ()) -> None:
-        """Joins the network, until `play` or `stream` returns."""
+        """Joins the network, until `play` or `stream` returns.
+
+        Raises:
+            ValueError: If ROS time is that of a simulation, by which no frame would ever be due.
+        """
         self.ros = make_ros_node("source", ros_arguments)
+        if self.ros.get_parameter("use_sim_time").value:
+            self.ros.destroy_node()
+            raise ValueError("use_sim_time: expected false for a source, which plays by this machine's clock, got true")
         self._publisher = FramePublisher(self.ros)
         self._should_stop = should_stop
 
@@ -184,8 +191,14 @@ class Player:
 
     def _is_listened_to(self) -> bool:
         has_network = all(
-            self.ros.count_subscribers(topic) and self.ros.count_publishers(topic)
+            self._num_subscribers(topic) and self._num_publishers(topic)
             for topic in (topics.PROPOSALS, topics.DETECTIONS, topics.RANGES, topics.TRACKS)
         )
-        is_whole = self.ros.count_publishers(topics.DETECTIONS) and not self.ros.count_subscribers(topics.TRACKS)
-        return bool(self.ros.count_publishers(topics.BEAM) and (has_network or is_whole))
+        is_whole = self._num_publishers(topics.DETECTIONS) and not self._num_subscribers(topics.TRACKS)
+        return bool(self._num_publishers(topics.BEAM) and (has_network or is_whole))
+
+    def _num_publishers(self, topic: str) -> int:
+        return int(self.ros.count_publishers(self.ros.resolve_topic_name(topic)))  # rclpy does not remap what it counts
+
+    def _num_subscribers(self, topic: str) -> int:
+        return int(self.ros.count_subscribers(self.ros.resolve_topic_name(topic)))

@@ -14,7 +14,7 @@ from foreglow.runtime.ros2.frame_reader import FrameReader, motion_of
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.input_messages import read_image
 from foreglow.runtime.ros2.join import Joined
-from foreglow.runtime.ros2.node import BAD_MESSAGE, FrameNode, Inputs
+from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING, FrameNode, Inputs
 from foreglow.runtime.ros2.output import BeamOutput
 from foreglow.runtime.ros2.results import (
     detections_message,
@@ -223,7 +223,6 @@ class CommandingNode(FrameNode[Inputs]):
 
     def failed(self, header: Header, fault: str) -> None:
         """Commands low beam; the next frame begins anew, so with low beam, from which light returns slowly."""
-        self._has_failed = True
         self._output.arrived()
         self._output.low(header, fault)
 
@@ -256,6 +255,11 @@ class BeamNode(CommandingNode[tuple[Frame, Tracks]]):
     def resume(self) -> None:
         """Begins with low beam, but does not forget what is known of the camera."""
         self._stage.resume()
+
+    def idle(self, now_ns: int) -> None:
+        """As of every such node; the next frame begins anew: a new process may give its tracks numbers of old ones."""
+        super().idle(now_ns)
+        self._has_failed |= INPUT_MISSING in self.faults
 
     def read(self, joined: Joined) -> tuple[Frame, Tracks]:
         """The frame and its tracks."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from foreglow.plugins import words_of
+from foreglow.plugins import printable, words_of
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.node import Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam
@@ -17,7 +18,9 @@ PREFIX = "foreglow: "
 """What the names of our nodes begin with in diagnostics."""
 
 STALE_S = 3.0
-"""A node that has not reported for so long is `silent`."""
+"""A node that has not reported for so long is `silent`; without a command, or frames, for so long there are none."""
+
+NO_COMMAND = "no command"
 
 MAX_DIGITS = 20
 """Of a number of frames: years of them have fewer."""
@@ -36,8 +39,9 @@ class StatusLine:
         self.ros = make_ros_node("status", ros_arguments)
         self._reports: dict[str, tuple[float, Mapping[str, str]]] = {}
         self._names = names
-        self._mode = "no command yet"
-        self._counted: tuple[float, int] | None = None
+        self._mode = NO_COMMAND + " yet"
+        self._is_commanded, self._commanded_s = False, math.inf
+        self._counted: tuple[str, float, int] | None = None  # whose frames, and when there were so many
         self._rate_hz = 0.0
         self.ros.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._report, topics.NUM_KEPT)
         beam_quality = topics.subscriber_quality(topics.BEAM, 1)
@@ -57,8 +61,14 @@ class StatusLine:
         known = {name: values for name, (at_s, values) in self._reports.items() if now_s - at_s < STALE_S}
         counts = {name: _count_of(values.get("frames", "0")) for name, values in known.items()}
         last = next((name for name in reversed(self._names) if name in counts), None)
-        if last is not None:
-            self._count(now_s, counts[last])
+        if last is None:
+            self._counted, self._rate_hz = None, 0.0
+        else:
+            self._count(last, now_s, counts[last])
+        if self._is_commanded:
+            self._is_commanded, self._commanded_s = False, now_s
+        elif now_s - self._commanded_s >= STALE_S:
+            self._mode = NO_COMMAND
         dropped = {name: values["dropped"] for name, values in known.items() if values.get("dropped", "0") != "0"}
         faults = sorted({fault for values in known.values() for fault in values.get("faults", "").split()})
         starting = [name for name in self._names if name not in self._reports]
@@ -71,14 +81,15 @@ class StatusLine:
             *([f"starting {', '.join(starting)}"] if starting else []),
             *([f"silent {', '.join(silent)}"] if silent else []),
         ]
-        return "; ".join(parts)
+        return printable("; ".join(parts))
 
-    def _count(self, now_s: float, count: int) -> None:
-        if self._counted is None or count < self._counted[1]:
-            self._counted = now_s, count
-        elif count > self._counted[1] and now_s > self._counted[0]:
-            self._rate_hz = (count - self._counted[1]) / (now_s - self._counted[0])
-            self._counted = now_s, count
+    def _count(self, name: str, now_s: float, count: int) -> None:
+        """Brings the rate up to date by the frames of a node: 0 until they were counted twice, and once none come."""
+        known = self._counted
+        if known is None or known[0] != name or count < known[2]:
+            self._counted, self._rate_hz = (name, now_s, count), 0.0
+        elif now_s > known[1] and (count > known[2] or now_s - known[1] >= STALE_S):
+            self._counted, self._rate_hz = (name, now_s, count), (count - known[2]) / (now_s - known[1])
 
     def _report(self, message: Any) -> None:
         for status in message.status:
@@ -88,6 +99,7 @@ class StatusLine:
                 self._reports[name] = time.monotonic(), values
 
     def _command(self, message: Any) -> None:
+        self._is_commanded = True
         try:
             self._mode = read_beam(message, topics.BEAM)[1].mode.name.lower().replace("_", "-")
         except ValueError as error:

@@ -54,6 +54,15 @@ NUM_KEPT = 10
 """Messages that are kept for a slow subscriber."""
 
 
+def type_name(kind: type[Any]) -> str:
+    """ROS 2's name of a type of messages.
+
+    >>> type_name(Image)
+    'sensor_msgs/msg/Image'
+    """
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
 def publisher_quality(topic: str) -> QoSProfile:
     """Best effort for images, as cameras publish them; all else is reliable."""
     return _quality(NUM_KEPT if topic != IMAGE else 4, is_reliable=topic != IMAGE)
