@@ -31,6 +31,8 @@ from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
 from foreglow.wording import check_one_of
 
+_ANNOTATED, _PRESET = "as annotated", "preset "  # which boxes an export has, as its settings say it
+
 CLASS_NAME = "light_artifact"
 DATA_NAME = "data.yaml"
 
@@ -115,11 +117,11 @@ def export_yolo(
     )
     settings = ExportSettings(
         data=str(Path(data).resolve()),
-        boxes="as annotated" if is_annotated else f"preset {preset_name or 'paper'}",
+        boxes=_ANNOTATED if is_annotated else f"{_PRESET}{preset_name or 'paper'}",
         size_px=size_px,
         splits=tuple(wanted),
     )
-    proposer = None if is_annotated else make_proposer(preset(preset_name or "paper").proposals)
+    proposer = proposer_of(settings.boxes)
     with FolderLock(folder):
         _claim(folder, settings)
         try:
@@ -225,6 +227,15 @@ def read_export(folder: Path) -> ExportSettings:
 def is_export(folder: Path) -> bool:
     """Whether `folder` holds an export, complete or not, rather than a data set."""
     return any((home / EXPORT).is_file() for home in (folder, folder / UNFINISHED_EXPORT))
+
+
+def proposer_of(boxes: str) -> Proposer | None:
+    """What proposes the `boxes` of `ExportSettings`; None for those in the data set.
+
+    Raises:
+        ValueError: If there is no such preset.
+    """
+    return None if boxes == _ANNOTATED else make_proposer(preset(boxes.removeprefix(_PRESET)).proposals)
 
 
 def positive_boxes(dataset: LabelledSource, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:

@@ -135,6 +135,7 @@ class DetectorPlan:
 PAPER_YOLO = "960 px; its repository: 200 epochs from COCO weights"
 
 _FORMAT = 3  # of a row's file; with another number all rows are made anew
+_YOLO_FORMAT = 2  # the same of a YOLO's
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +220,7 @@ def row_key(name: str, workspace: Workspace) -> str:
     spec, plan = ROWS[name], workspace.plan
     parts: list[Any] = [_FORMAT, split_digest(split_folder(workspace.data, plan.split)), THRESHOLD]
     parts.append(spec.configuration.proposals.model_dump(mode="json"))
+    parts += [_YOLO_FORMAT] if spec.kind == "yolo" else []
     if name in plan.given:
         parts.append(given_digest(name, plan.given[name]))
     else:
@@ -373,8 +375,8 @@ def _recipe(name: str, plan: DetectorPlan) -> Any:
 
 
 def _with_model(config: PipelineConfig, model: Path) -> PipelineConfig:
-    """`config` with this model, at the table's threshold, on one thread."""
-    fields = {"model": model, "score_threshold": THRESHOLD, "num_threads": 1}
+    """`config` with this model, at the table's threshold, on one thread of the processor."""
+    fields = {"model": model, "score_threshold": THRESHOLD, "num_threads": 1, "device": "cpu"}
     return config.model_copy(update={"classifier": config.classifier.model_copy(update=fields)})
 
 
@@ -410,6 +412,8 @@ def has_library() -> bool:
 
 
 def _has_gpu(plan: DetectorPlan) -> bool:
+    if importlib.util.find_spec("torch") is None:
+        return False
     import torch
 
     return plan.device != "cpu" and torch.cuda.is_available()
