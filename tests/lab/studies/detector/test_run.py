@@ -348,6 +348,26 @@ def test_a_yolo_of_other_boxes_is_beside_these(
     write_report(results, (), tmp_path / "out")
 
 
+def test_a_yolo_that_cannot_be_used_is_named_before_other_rows_are_made(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(Calls("libreyolo")))
+    run = train_yolo(make_data(tmp_path / "data"), tmp_path / "run", YoloConfig(image_size_px=64, device="cpu"))
+    given = {"yolo-small": run.folder}
+    DetectorPlan(rows=("yolo-small",), given=given)
+    whole = run.weights.read_bytes()
+    for change, message in ((whole[:-30], "expected a whole checkpoint"), (None, "no such file, expected the weights")):
+        run.weights.unlink()
+        if change is not None:
+            run.weights.write_bytes(change)
+        with pytest.raises((ValueError, FileNotFoundError), match=rf"best\.pt: {message}"):
+            DetectorPlan(rows=("yolo-small",), given=given)
+    run.weights.write_bytes(whole)
+    monkeypatch.setitem(sys.modules, "libreyolo", None)
+    with pytest.raises(ModuleNotFoundError, match="libreyolo"):
+        DetectorPlan(rows=("yolo-small",), given=given)
+
+
 def test_rows_without_an_f_are_not_compared(tmp_path: Path) -> None:
     """Drives without a light, in which nothing is found; the table was lost with an error."""
     data = make_data(tmp_path / "data")

@@ -18,6 +18,7 @@ from foreglow.checksums import check_unchanged
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.lab.evaluation import Predictions
+from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.lab.learning.yolo.backends import BACKENDS, Detector, YoloConfig, is_here
 from foreglow.lab.learning.yolo.export import (
     DATA_NAME,
@@ -178,6 +179,20 @@ def read_yolo_run(folder: Path) -> YoloRun:
     return YoloRun(folder, read_json(folder / CONFIG_NAME, YoloSettings), read_json(folder / RESULTS_NAME, YoloResults))
 
 
+def check_usable(run: YoloRun) -> None:
+    """Passes a run that can predict here.
+
+    Raises:
+        FileNotFoundError: If the weights are missing.
+        ValueError: If they are damaged.
+        ModuleNotFoundError: If the library is not installed.
+    """
+    if not run.weights.is_file():
+        raise FileNotFoundError(f"{run.weights}: no such file, expected the weights of the run {run.folder}")
+    check_torch_file(run.weights)
+    BACKENDS[run.settings.training.backend]().version()
+
+
 def predict_yolo(
     run: YoloRun,
     dataset: LabelledSource,
@@ -203,8 +218,7 @@ def predict_yolo(
     boxes: dict[int, NDArray[np.float64]] = {}
     scores: dict[int, NDArray[np.float64]] = {}
     times_ms: list[float] = []
-    if not run.weights.is_file():
-        raise FileNotFoundError(f"{run.weights}: no such file, expected the weights of the run {run.folder}")
+    check_usable(run)
     config = run.settings.training
     wanted = device or (config.device if is_here(config.device) else "auto")
     with _threads(num_threads):

@@ -164,13 +164,18 @@ def check_given(given: Mapping[str, Path]) -> None:
     Raises:
         FileNotFoundError: If one is missing.
         ValueError: If one is broken, was trained on another preset's boxes, or says that it is another network.
+        ModuleNotFoundError: If the library of a YOLO is not installed.
     """
     for name, path in given.items():
         spec = ROWS[name]
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such model, given with {spec.option}")
         file = _model_file(path, spec.kind)
-        if spec.kind == "classifier":
+        if spec.kind == "yolo":
+            from foreglow.lab.learning.yolo import check_usable, read_yolo_run
+
+            check_usable(read_yolo_run(path))
+        else:
             _check_network(file, OnnxClassifier(ClassifierConfig(model=file)).metadata, spec)
             _configuration(path, spec)
 
