@@ -88,28 +88,30 @@ void AdaptiveThreshold::measure() {
     // Levels are as fine as 32-bit sums over a window and 24-bit floats allow.
     const auto area = static_cast<double>(window_rows_ * window_rows_);
     unit_ = std::exp2(std::min(22.0, std::floor(std::log2(2147483647.0 / area) - 1e-3)));
-    double blur_error = 1e-6, across_sum = 1.0;
+    double across_sum = 1.0;
+    off_ = 1.0;
     if (image_->is_narrow) {
         const WholeTaps& whole = whole_taps_for(image_->full_scale);
         std::copy(whole.taps.begin(), whole.taps.end(), across_taps_.taps);
         across_taps_.bias = static_cast<std::int32_t>(black_ * whole.sum);
         across_sum = whole.sum;
-        blur_error += whole.relative_error;
+        off_ += unit_ * whole.error;
     }
     const double to_levels = unit_ / (across_sum * static_cast<double>(range_));
     outer_tap_ = static_cast<float>(down_[1] * to_levels);
     centre_tap_ = static_cast<float>(down_[0] * to_levels);
 
     // How far single precision can move D (1 + eps - D) - kappa mean (1 + eps - 2 D) near its zero, where
-    // I <= (1 + kappa) mean: I and the mean are off by one level each, and by blur_error of themselves.
+    // I <= (1 + kappa) mean: I and the mean are off by `off_` levels each, and by blur_error of themselves.
     const double kappa = parameters_.kappa;
-    tolerance_ = static_cast<float>(1.5 * unit_ * (2.0 + 5.0 * kappa));
+    constexpr double blur_error = 1e-6;
+    tolerance_ = static_cast<float>(1.5 * unit_ * off_ * (2.0 + 5.0 * kappa));
     tolerance_slope_ = static_cast<float>(
         1.5 * unit_ *
         (((1.0 + 2.0 * kappa) * (1.0 + kappa) + 1.0 + 3.0 * kappa) * blur_error + 3e-7 * (1.0 + 2.0 * kappa)));
     // The faintest blurred pixel that is not black; where it spans levels, level 0 is exactly black.
     const double faintest = smallest_tap(across_) * smallest_tap(down_) * unit_ / static_cast<double>(range_);
-    surely_black_ = faintest > 3.0 ? 0.5F : -1.0F;
+    surely_black_ = faintest > 2.0 + off_ ? 0.5F : -1.0F;
 
     // What is not above least(mean) = min(mean (1 + rise), most) is not above T. With rise = kappa (1 - d / (1 - d)):
     // while D < d, T > mean (1 + rise); where D >= d, I >= mean + d, which is above mean (1 + rise) for means
@@ -201,7 +203,7 @@ void AdaptiveThreshold::threshold_row(std::int64_t y) {
     row.levels = level_row(centre_slot_);
     row.inverse_areas = inverse_areas_.data();
     row.quick_areas = quick_areas_.data();
-    row.quick_slack = static_cast<float>(4.0 + parameters_.kappa);
+    row.quick_slack = static_cast<float>(off_ * (4.0 + parameters_.kappa));
     row.quick_most = quick_most_;
     row.pairs_stop = running + halved(stop + 1) - 1;
     row.pairs_start = running + halved(start + 1) - 1;
@@ -240,10 +242,14 @@ void AdaptiveThreshold::settle_doubt(std::int64_t y, Span rows) {
             const Box window = {static_cast<std::int32_t>(columns.first), static_cast<std::int32_t>(rows.first),
                                 static_cast<std::int32_t>(columns.last), static_cast<std::int32_t>(rows.last)};
             const auto area = static_cast<double>((columns.last - columns.first) * (rows.last - rows.first));
-            const double mean = area > 0.0 ? blur.sum_over(window) / area : 0.0;
-            const double value = blur.at(x, y), difference = value - mean;
-            const double contrast = difference / (1.0 - difference + parameters_.eps);
-            const bool is_above = value > mean * (1.0 + parameters_.kappa * (1.0 - contrast)) + rounding;
+            const double value = blur.at(x, y);
+            bool is_above = value > rounding;  // what is black is below any mean's threshold
+            if (is_above) {
+                const double mean = area > 0.0 ? blur.sum_over(window) / area : 0.0;
+                const double difference = value - mean;
+                const double contrast = difference / (1.0 - difference + parameters_.eps);
+                is_above = value > mean * (1.0 + parameters_.kappa * (1.0 - contrast)) + rounding;
+            }
             const std::uint64_t mask = 1ULL << bit;
             std::uint64_t& bits = bits_[static_cast<std::size_t>(word)];
             bits = is_above ? bits | mask : bits & ~mask;

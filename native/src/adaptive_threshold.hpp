@@ -89,6 +89,7 @@ private:
     std::int64_t arranged_width_ = -1, plane_ = 0, words_ = 0, pad_ = 0;
 
     double unit_ = 1.0;  // levels that make 1
+    double off_ = 1.0;   // levels that a blurred pixel may be off by, rounding and whole taps together
     AcrossTaps across_taps_;
     float outer_tap_ = 0.0F, centre_tap_ = 0.0F;
     float tolerance_ = 0.0F, tolerance_slope_ = 0.0F, surely_black_ = -1.0F, quick_most_ = 0.0F;

@@ -6,7 +6,13 @@
 namespace foreglow {
 namespace {
 
-double squared(double value) { return value * value; }
+constexpr double squared(double value) { return value * value; }
+
+// As LEAST_HORIZONTAL_M of foreglow.distance.hypotheses (Python): the camera may be right above a place.
+double horizontal_squared(double forward_m, double left_m) {
+    constexpr double least_m = 0.1;
+    return std::max(squared(forward_m) + squared(left_m), squared(least_m));
+}
 
 // Where a kind's light is at a place, seen from the camera, and how its direction errs.
 struct Seen {
@@ -36,7 +42,7 @@ Seen on_road(const HypothesisParameters& p, const LightKind& kind, const Ribbon&
     const double fall_across = road.banking[place] * inside + road.crown[place] * std::abs(inside);
     const double up = road.z_m[place] - fall_across - road.rise_m - road.lean * y + kind.height_m - camera_m[2];
     const double forward = x - camera_m[0], left = y - camera_m[1];
-    const double distance_squared = forward * forward + left * left, level = std::sqrt(distance_squared);
+    const double distance_squared = horizontal_squared(forward, left), level = std::sqrt(distance_squared);
     // Displacements become angles: across by the perpendicular over the distance, ...
     const double to_cos = forward / distance_squared, to_sin = left / distance_squared;
     const double inverse = 1.0 / level, fall = up * inverse;
@@ -76,7 +82,7 @@ void cells_along(const HypothesisParameters& parameters, const Ribbon* road, con
         const LightKind& kind = p.kinds[i % p.kinds.size()];
         const Seen seen = road == nullptr || kind.is_anywhere ? on_plane(p, kind, camera_m, place)
                                                               : on_road(p, kind, *road, camera_m, place);
-        const double level_squared = squared(seen.forward_m) + squared(seen.left_m), level = std::sqrt(level_squared);
+        const double level_squared = horizontal_squared(seen.forward_m, seen.left_m), level = std::sqrt(level_squared);
         const double log_range = 0.5 * std::log(level_squared + squared(seen.up_m));
         const double tilt =
             (squared(pitch_sigma_rad * seen.forward_m) + squared(p.roll_sigma_rad * seen.left_m)) / level_squared;

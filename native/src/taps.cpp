@@ -21,7 +21,7 @@ WholeTaps whole_taps(const HalfKernel& kernel, std::int64_t largest_value) {
     const double largest_sum = 2147483647.0 / static_cast<double>(std::max<std::int64_t>(largest_value, 1)) - 4.0;
     const auto last = static_cast<std::int32_t>(std::min(32767.0, largest_sum * kernel[0]));
     WholeTaps best;
-    best.relative_error = std::numeric_limits<double>::infinity();
+    best.error = std::numeric_limits<double>::infinity();
     for (std::int32_t centre = std::max(1, last / 2); centre <= last; ++centre) {
         const auto near = std::lround(centre * kernel[1] / kernel[0]), far = std::lround(centre * kernel[2] / kernel[0]);
         const double sum = static_cast<double>(centre + 2 * near + 2 * far);
@@ -29,13 +29,13 @@ WholeTaps whole_taps(const HalfKernel& kernel, std::int64_t largest_value) {
         const std::array<double, 3> taps = {static_cast<double>(centre), static_cast<double>(near),
                                             static_cast<double>(far)};
         for (std::size_t k = 0; k < taps.size(); ++k) {
-            if (kernel[k] > 0.0) error = std::max(error, std::abs(taps[k] / sum / kernel[k] - 1.0));
+            error += (k == 0 ? 1.0 : 2.0) * std::abs(taps[k] / sum - kernel[k]);
         }
-        if (error < best.relative_error) {
+        if (error < best.error) {
             best.taps = {static_cast<std::int16_t>(centre), static_cast<std::int16_t>(near),
                          static_cast<std::int16_t>(far)};
             best.sum = static_cast<std::int32_t>(sum);
-            best.relative_error = error;
+            best.error = error;
         }
     }
     return best;

@@ -15,7 +15,7 @@ HalfKernel gaussian_taps(std::int32_t size, double sigma_px);
 struct WholeTaps {
     std::array<std::int16_t, 3> taps{};
     std::int32_t sum = 0;          // of all five
-    double relative_error = 0.0;  // largest departure of taps / sum from the real kernel
+    double error = 0.0;  // departures of all taps / sum from the real kernel: a blur of at most 1 is off by no more
 };
 
 // The most exact taps whose sum times `largest_value` stays below 2^31. Among the many scales some come very near to

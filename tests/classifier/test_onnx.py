@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from foreglow.classifier import OnnxClassifier
+from foreglow.classifier import ClassifierInputs, OnnxClassifier
 from foreglow.config import ClassifierConfig
 from foreglow.types import KINDS, Frame, Proposals
 
@@ -90,6 +90,25 @@ def test_scores_are_the_sigmoid_of_the_logits(tmp_path: Path, count: int) -> Non
     expected = 1 / (1 + np.exp(-8 * (crops.astype(np.float64).mean(axis=(1, 2, 3)) - 0.5)))
     np.testing.assert_allclose(detections.scores, expected, atol=1e-6)
     np.testing.assert_array_equal(detections.is_accepted, detections.scores > 0.5)
+
+
+def test_large_crops_of_many_boxes_are_made_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand boxes of a frame took gigabytes."""
+    model = write_model(tmp_path / "model.onnx", shape=("N", 1, 1024, 1024))
+    sizes: list[tuple[int, int]] = []
+    unspied = OnnxClassifier._logits
+
+    def spied(classifier: OnnxClassifier, inputs: ClassifierInputs) -> Any:
+        sizes.append((len(inputs.crops), inputs.crops.nbytes))
+        return unspied(classifier, inputs)
+
+    monkeypatch.setattr(OnnxClassifier, "_logits", spied)
+    classifier, boxes = OnnxClassifier(ClassifierConfig(model=model)), proposals(70)
+    scores = classifier.classify(Frame(IMAGE, 0), boxes).scores
+    assert [num for num, _ in sizes] == [64, 6]
+    assert max(num_bytes for _, num_bytes in sizes) <= 256 << 20
+    few = Proposals(boxes.boxes_xyxy_px[60:])
+    np.testing.assert_array_equal(classifier.classify(Frame(IMAGE, 0), few).scores, scores[60:])
 
 
 def test_threshold_support_and_strides(tmp_path: Path) -> None:

@@ -61,6 +61,20 @@ def assert_as_specified(parameters: Parameters, cells: Cells, boxes: BoxEvidence
     np.testing.assert_allclose(found, weighed_ranges(parameters, cells, boxes), rtol=1e-6)
 
 
+@pytest.mark.parametrize("place_m", [*PLACES_M[:2].tolist(), 0.5 * PLACES_M[:2].sum()])
+@pytest.mark.parametrize("has_road", [False, True])
+def test_a_camera_right_above_a_place(place_m: float, *, has_road: bool) -> None:
+    """4.5 m before the rear axle, where the first one is: every range was NaN."""
+    ahead = ribbon(road(line(np.zeros(300)), 0.0), Alignment(0.0, 0.0, 0.0, 0.003, 0.2, 10.0)) if has_road else None
+    camera_m, boxes = np.array([place_m, 0.0, 1.25]), some_boxes(9, 3)
+    cells = cells_along(SHIPPED, ahead, camera_m, 0.002)
+    assert np.isfinite(np.array(cells)).all()
+    assert_as_specified(SHIPPED, cells, boxes)
+    native = Weigher(SHIPPED).cells_along(ahead, camera_m, 0.002)
+    np.testing.assert_allclose(native, cells, rtol=1e-9, atol=1e-12)
+    assert np.isfinite(Weigher(SHIPPED).ranges(native, boxes)).all()
+
+
 @pytest.mark.slow
 @settings(derandomize=True, max_examples=60)
 @given(st.integers(0, 2**31), st.integers(1, 30), st.sampled_from([0.1, 1.0, 3.0]))

@@ -55,6 +55,20 @@ def test_wide_camera_frames() -> None:
         equal_boxes(night_like_frame(generator, width_px, height_px, is_wide=True), ProposalConfig(), "16 bit")
 
 
+@pytest.mark.parametrize("sigma_px", [0.1, 0.3, 0.36, 0.42, 0.5, 0.6])
+def test_narrow_blurs(sigma_px: float) -> None:
+    """Taps that are far below any whole number; double precision had to decide every pixel, which took seconds."""
+    generator = np.random.default_rng(5)
+    config = preset("paper").proposals.model_copy(update={"blur_sigma_px": sigma_px})
+    equal_boxes(night_like_frame(generator, 640, 360), config, "night")
+    bright = generator.integers(60, 200, (360, 640)).astype(np.uint8)
+    equal_boxes(bright, config, "noise")
+    for level in LEVELS:
+        proposer = NativeProposer(config.model_copy(update={"dispatch": level}))
+        proposer.propose(bright)
+        assert proposer.num_doubtful < 0.01 * bright.size
+
+
 @pytest.mark.parametrize("window", ["published", "centred"])
 def test_pixels_at_the_threshold_are_decided_in_double_precision(window: str) -> None:
     """Puts kappa just below and above the value at which a pixel at a blob's edge is set: far closer than single

@@ -31,6 +31,16 @@ def test_a_lamp_is_in_its_box_in_pixels_of_the_frame(backend: Literal["native", 
     assert box[3] - box[1] < 60
 
 
+@pytest.mark.parametrize("side_px", [147, 281, 294, 525])
+def test_a_box_at_the_border_ends_there(side_px: int) -> None:
+    """The frame's width over these, times these, is more than the width, in double precision."""
+    assert side_px * (1280 / side_px) > 1280
+    proposer = make_proposer(SMALL.model_copy(update={"working_size_px": (side_px, 240), "max_area_px": 1e6}))
+    (box,) = proposer.propose(lamp(1240, 400)).boxes_xyxy_px.tolist()
+    assert box[0] <= 1240
+    assert box[2] == 1280
+
+
 def test_both_back_ends_agree_at_every_depth() -> None:
     slow = SMALL.model_copy(update={"backend": "reference"})
     for dtype in (np.uint8, np.uint16):

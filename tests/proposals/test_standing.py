@@ -170,6 +170,16 @@ def test_frames_of_16_bits_are_the_same() -> None:
     assert len(left) == len(proposals) - 1
 
 
+def test_light_that_doubles_from_pixel_to_pixel_is_no_region() -> None:
+    """It is the sum of its derivatives, so that no fit can tell them apart; it raised an error."""
+    ramp = 2 ** np.minimum(np.arange(20), 6)
+    standing = StandingLight(StandingConfig(enabled=True))
+    boxes = Proposals(np.array([[2, 2, 3, 3]], np.int32))
+    for time_s in range(3):
+        frame = Frame(np.add.outer(ramp, ramp).astype(np.uint8), time_s * 10**9, motion=DRIVING)
+        assert len(standing.leave_out(frame, boxes)) == 1
+
+
 def test_boxes_at_the_border_and_none_at_all() -> None:
     standing = StandingLight(CONFIG)
     for time_s in times(2.0):

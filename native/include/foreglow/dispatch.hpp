@@ -1,4 +1,4 @@
-// Instruction sets: the same results at each of them, at another speed.
+// Instruction sets: the same boxes at each of them, and the same ranges but for their last digits, at another speed.
 #pragma once
 
 #include <cstdint>

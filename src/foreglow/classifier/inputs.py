@@ -7,6 +7,7 @@ brightened or moved stands out, without any tracking; and a last one shows a lar
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +37,9 @@ NUMS_FEATURES = (0, 7, 9, len(FEATURES))
 
 MAX_CROP_PX = 1024
 """Largest side of a model's crops, pixels; published ones have 64."""
+
+MAX_CROPS_BYTES = 1 << 28
+"""Memory of the crops that the classifier makes at once; those of our model have 12 kB a box."""
 
 MAX_REACH = 100
 """Largest `support` and `context`: a crop of a box of ten pixels is then as wide as an image."""
@@ -96,6 +100,11 @@ class InputSpec:
         """1, and one each for an earlier frame and for the surroundings."""
         return 1 + (self.lag_s is not None) + (self.context is not None)
 
+    @property
+    def bytes_a_box(self) -> int:
+        """Memory of the crops of a box."""
+        return np.dtype(np.float32).itemsize * self.num_channels * self.size_px**2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassifierInputs:
@@ -125,14 +134,23 @@ class InputMaker:
 
     def make(self, frame: Frame, proposals: Proposals) -> ClassifierInputs:
         """The inputs for `proposals`, boxes of `frame`; if time goes back, earlier frames are forgotten."""
-        spec, image = self.spec, _with_adjacent_columns(frame.image)
+        (inputs,) = self.make_parts(frame, proposals, max(1, len(proposals)))
+        return inputs
+
+    def make_parts(self, frame: Frame, proposals: Proposals, size: int) -> Iterator[ClassifierInputs]:
+        """Like `make`, for `size` boxes at a time, which bounds the memory; one part if there are none."""
         if frame.earlier is not None and (not self._earlier or frame.earlier.timestamp_ns > self._earlier[-1][0]):
             self._seen_before(frame.earlier)  # forgets what does not go with it
             self._remember(frame.earlier)
         earlier = self._seen_before(frame)
-        boxes = np.ascontiguousarray(proposals.boxes_xyxy_px)
+        self._remember(frame)
+        image, boxes = _with_adjacent_columns(frame.image), np.ascontiguousarray(proposals.boxes_xyxy_px)
+        starts = range(0, max(1, len(boxes)), size)
+        return (self._inputs(image, earlier, boxes[start : start + size]) for start in starts)
+
+    def _inputs(self, image: Image, earlier: Image | None, boxes: NDArray[np.int32]) -> ClassifierInputs:
+        spec = self.spec
         if not len(boxes):
-            self._remember(frame)
             crops = np.zeros((0, spec.num_channels, spec.size_px, spec.size_px), np.float32)
             return ClassifierInputs(crops, np.zeros((0, spec.num_features), np.float32))
         crops, levels = _native.extract_crops(image, boxes, spec.support, spec.size_px, earlier)
@@ -144,7 +162,6 @@ class InputMaker:
         features = np.zeros((len(boxes), 0), np.float32)
         if spec.num_features:
             features = _features(image, boxes, levels, earlier is not None)[:, : spec.num_features]
-        self._remember(frame)
         return ClassifierInputs(crops, features)
 
     def _seen_before(self, frame: Frame) -> Image | None:

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.classifier.colour import kinds_by_colour, redness
-from foreglow.classifier.inputs import MAX_CROP_PX, NUMS_FEATURES, ClassifierInputs, InputMaker, InputSpec
+from foreglow.classifier.inputs import (
+    MAX_CROP_PX,
+    MAX_CROPS_BYTES,
+    NUMS_FEATURES,
+    ClassifierInputs,
+    InputMaker,
+    InputSpec,
+)
 from foreglow.classifier.session import check_whole, model_errors, open_session, unusable
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
@@ -68,6 +75,7 @@ class OnnxClassifier:
         except model_errors() as error:
             raise unusable(self._path, error) from error
         self._maker = InputMaker(self.spec)
+        self._batch = MAX_TOGETHER if self.spec.together else _MAX_BATCH
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -90,10 +98,11 @@ class OnnxClassifier:
             ValueError: If the model cannot be run, or writes anything other than 1, 2 or 5 finite logits per crop.
         """
         threshold = self.config.score_threshold
-        inputs = self._maker.make(frame, proposals)
+        num_batches = max(1, MAX_CROPS_BYTES // (self._batch * self.spec.bytes_a_box))
+        parts = self._maker.make_parts(frame, proposals, num_batches * self._batch)
         if len(proposals) == 0:
             return Detections(proposals, np.zeros(0, np.float32), threshold)
-        logits = self._logits(inputs)
+        logits = np.concatenate([self._logits(part) for part in parts])
         if not math.isfinite(np.add.reduce(logits, axis=None)):
             raise ValueError(f"{self._path}: output: expected finite logits, got NaN or infinity")
         scores, *light_kinds = _probabilities(logits)
@@ -105,9 +114,8 @@ class OnnxClassifier:
     def _logits(self, inputs: ClassifierInputs) -> NDArray[np.float32]:
         """Shape (N, 1), (N, 2) or (N, 5), batch by batch."""
         arrays = (inputs.crops, inputs.features)[: len(self._names)]
-        size = MAX_TOGETHER if self.spec.together else _MAX_BATCH
-        starts = range(0, len(inputs.crops), size)
-        batches = [self._run([array[start : start + size] for array in arrays]) for start in starts]
+        starts = range(0, len(inputs.crops), self._batch)
+        batches = [self._run([array[start : start + self._batch] for array in arrays]) for start in starts]
         return batches[0] if len(batches) == 1 else np.concatenate(batches)
 
     def _run(self, batch: list[NDArray[np.float32]]) -> NDArray[np.float32]:

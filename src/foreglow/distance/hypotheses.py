@@ -80,6 +80,9 @@ REFERENCE_LOG_RANGE = 4.0
 ANYWHERE_SIGMA_RAD = 0.35
 """Standard deviation of the azimuth of kinds that are tied to no line: anywhere in the field of view."""
 
+LEAST_HORIZONTAL_M = 0.1
+"""From the camera to a place: a camera may be mounted right above one, from where it is in no direction."""
+
 PLANE_SIGMA_RAD = 0.01
 """Slope of the ground against the plane under the vehicle, for those kinds."""
 
@@ -294,7 +297,7 @@ def cells_along(
         pairs = zip(lines, _on_road(parameters, road, (x_m, y_m, z_m), xp), strict=True)
         lines = _Lines(*(xp.where(parameters.is_anywhere, on_plane, on_road) for on_plane, on_road in pairs))
     forward, left, up = lines[:3]
-    horizontal = xp.sqrt(forward * forward + left * left)  # q
+    horizontal = xp.sqrt(xp.clip(forward * forward + left * left, LEAST_HORIZONTAL_M**2, None))  # q
     log_ranges = 0.5 * xp.log(horizontal * horizontal + up * up)  # (2)
     pixel, height = parameters.pixel_sigma_rad**2, (parameters.height_sigma_m / horizontal) ** 2
     tilt = ((pitch_sigma_rad * forward) ** 2 + (ROLL_SIGMA_RAD * left) ** 2) / (horizontal * horizontal)
@@ -376,7 +379,7 @@ def _on_road(parameters: Parameters, road: Ribbon, camera_m: tuple[float, float,
     across = -road.banking * inside - road.crown * abs(inside)
     up = road.z_m + across - road.rise_m - road.lean * y + parameters.height_m - camera_m[2]
     forward, left = x - camera_m[0], y - camera_m[1]
-    squared = forward * forward + left * left
+    squared = xp.clip(forward * forward + left * left, LEAST_HORIZONTAL_M**2, None)
     horizontal = xp.sqrt(squared)
     to_cos, to_sin, fall = forward / squared, left / squared, up / squared
 

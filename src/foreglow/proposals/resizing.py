@@ -25,9 +25,10 @@ class ResizingProposer:
     def propose(self, image: Image) -> Proposals:
         """The proposals of `image`: shape (height, width), uint8 or uint16, any strides."""
         small = resized(image, self.config)
-        boxes_xyxy = self._proposer.propose(small).boxes_xyxy_px
-        scales = np.array(image.shape[::-1]) / np.array(small.shape[::-1])
-        corners = (np.floor(boxes_xyxy[:, :2] * scales), np.ceil(boxes_xyxy[:, 2:] * scales))
+        boxes_xyxy = self._proposer.propose(small).boxes_xyxy_px.astype(np.int64)
+        # In whole numbers: a factor is rounded, and a box at the border would reach beyond the frame.
+        size, small_size = np.array(image.shape[::-1]), np.array(small.shape[::-1])
+        corners = (boxes_xyxy[:, :2] * size // small_size, -(-boxes_xyxy[:, 2:] * size // small_size))
         return Proposals(np.concatenate(corners, axis=1).astype(np.int32))
 
 

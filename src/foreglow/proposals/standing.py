@@ -44,6 +44,10 @@ MIN_FLOW = 0.6
 MIN_STOOD = 4
 """So many checks are a second."""
 
+MIN_PART = 1e-6
+"""Least determinant of what the patch and its derivatives have in common, 1 for nothing: a patch that is made of its
+derivatives, as one that doubles from pixel to pixel, moves where it only brightens."""
+
 MIN_CORNER = 0.01
 """Least determinant of the structure tensor over its squared trace: that is 1/4 for a round light, 0 for an edge."""
 
@@ -233,6 +237,9 @@ def _region(frame: Frame, box: list[int], driven_s: float) -> _Region | None:
     normal = basis.T.astype(np.float64) @ basis
     xx, xy, yy = (float(normal[row, column]) for row, column in ((1, 1), (1, 2), (2, 2)))
     if xx * yy - xy * xy <= MIN_CORNER * (xx + yy) ** 2 or normal[0, 0] <= len(basis):
+        return None
+    lengths = np.sqrt(normal.diagonal())
+    if np.linalg.det(normal / np.outer(lengths, lengths)) <= MIN_PART:
         return None
     solver = (np.linalg.inv(normal) @ basis.T).astype(np.float32)
     now_ns = frame.timestamp_ns

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import expit
 
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
-from foreglow.lab.learning.scores import EACH_AS_ONE, BoxScores, Calibrator, fit_calibrator, light_logits
+from foreglow.lab.learning.scores import EACH_AS_ONE, BoxScores, Calibration, Calibrator, fit_calibrator, light_logits
 
 
 def drawn(num_samples: int = 20_000) -> tuple[Any, Any]:
@@ -56,6 +56,16 @@ def test_no_calibration_and_no_samples() -> None:
     logits = logits[:, np.newaxis]
     assert fit_calibrator(logits, labels, "none") == Calibrator(1.0, 0.0)
     assert fit_calibrator(logits[:0], labels[:0]) == Calibrator(1.0, 0.0)
+
+
+@pytest.mark.parametrize("num_outputs", [1, 5])
+@pytest.mark.parametrize("method", ["temperature", "platt"])
+@pytest.mark.parametrize("label", [0, 1])
+def test_labels_of_one_kind_calibrate_nothing(num_outputs: int, method: Calibration, label: int) -> None:
+    """The fit ended at its limits: every score was 0, or every one 1."""
+    logits = np.random.default_rng(2).normal(0.0, 3.0, (50, num_outputs))
+    with pytest.raises(ValueError, match="labels: expected boxes with and without an artifact, got "):
+        fit_calibrator(logits, np.full(50, label, np.int8), method)
 
 
 def test_a_perfect_network_gets_a_finite_temperature() -> None:

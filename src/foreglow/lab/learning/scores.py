@@ -127,7 +127,7 @@ def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], method: Calib
         method: `temperature` only divides; `platt` shifts, too; `none` is the identity.
 
     Raises:
-        ValueError: If a temperature is wanted and all labels are the same, or there is no such method.
+        ValueError: If a calibration is wanted and all labels are the same, or there is no such method.
 
     Source: Guo et al., On Calibration of Modern Neural Networks, arXiv 1706.04599, section 4.2; Platt, 1999.
 
@@ -137,6 +137,9 @@ def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], method: Calib
     check_one_of(method, Calibration, "method")
     if method == "none" or len(logits) == 0:
         return Calibrator()
+    num = np.count_nonzero(labels)
+    if not 0 < num < len(labels):
+        raise ValueError(f"labels: expected boxes with and without an artifact, got {num} of {len(labels)}")
     values = np.asarray(logits, np.float64)
     if method == "temperature" and values.shape[1] == 1:
         return Calibrator(fit_temperature(values[:, 0], labels))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -101,6 +102,8 @@ def fake_ultralytics(calls: Calls) -> ModuleType:
             (run / "weights" / "best.pt").write_bytes(b"best")
 
         def predict(self, image: Any, **arguments: Any) -> Any:
+            if arguments["device"] == "cpu":  # as the library does
+                os.environ["CUDA_VISIBLE_DEVICES"] = "-1"
             calls.predicted.append({"shape": image.shape, **arguments})
             return [SimpleNamespace(boxes=FakeBoxes())]
 

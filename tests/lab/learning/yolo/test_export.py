@@ -6,6 +6,7 @@ import contextlib
 import errno
 import itertools
 import os
+import shutil
 from pathlib import Path
 
 import cv2
@@ -215,6 +216,41 @@ def test_an_interrupted_export_goes_on(tmp_path: Path) -> None:
     assert read_export(folder) == export.settings
     names = {path.relative_to(folder) for path in folder.rglob("*")}
     assert names == {path.relative_to(tmp_path / "whole") for path in (tmp_path / "whole").rglob("*")}
+
+
+@pytest.mark.parametrize("is_interrupted", [False, True])
+def test_images_that_left_the_data_set_leave_the_export(tmp_path: Path, *, is_interrupted: bool) -> None:
+    """They stayed there, and were trained on, though they were not counted."""
+    data, folder = make_night_data(tmp_path / "data", ("train", "val")), tmp_path / "out"
+
+    def stop(num_done: int, num_images: int) -> None:
+        if is_interrupted and num_done == num_images:
+            raise KeyboardInterrupt
+
+    with contextlib.suppress(KeyboardInterrupt):
+        export_yolo(data, folder, size_px=64, progress=stop)
+    shutil.rmtree(data)
+    make_night_data(tmp_path / "data", ("train", "val"), num_images=3)
+    export = export_yolo(data, folder, size_px=64)
+    assert export.num_images == {"train": 6, "val": 6}
+    for kind in ("images", "labels"):
+        assert len(list((folder / kind / "train").iterdir())) == len(list((folder / kind / "val").iterdir())) == 6
+    assert read_export(folder) == export.settings
+
+
+@pytest.mark.parametrize("name", ["mine.png", "mine.JPG"])
+def test_an_image_that_was_added_is_named(annotated: Path, tmp_path: Path, name: str) -> None:
+    whole = export_yolo(annotated, tmp_path / "out", size_px=48)
+    path = tmp_path / "out/images/val" / name
+    path.write_bytes(b"mine")
+    for call in (lambda: export_yolo(annotated, tmp_path / "out", size_px=48), lambda: read_export(tmp_path / "out")):
+        with pytest.raises(ValueError, match=rf"{name}: expected images that were exported here, and no others"):
+            call()
+    assert path.read_bytes() == b"mine"
+    path.unlink()
+    (path.parent / "mine.npy").touch()  # as libraries keep images
+    assert export_yolo(annotated, tmp_path / "out", size_px=48) == whole
+    read_export(tmp_path / "out")
 
 
 def test_an_interrupted_export_with_other_settings_is_replaced(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -179,6 +180,41 @@ def test_one_wrong_bit_in_the_weights_is_noticed(calls: Calls, data: Path, tmp_p
     run.weights.write_bytes(content)
     with pytest.raises(ValueError, match=r"best\.pt: expected a whole checkpoint, found it damaged"):
         predict_yolo(run, PVDN(data / "val"))
+
+
+def test_a_run_of_a_gpu_that_is_not_here_predicts_nevertheless(
+    calls: Calls, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("torch.cuda.device_count", lambda: 1)
+        run = train_yolo(data, tmp_path / "run", config(calls.name, device="0"))
+        predict_yolo(run, PVDN(data / "val"))
+        assert predicted_on(calls) == "0"
+    monkeypatch.setattr("torch.cuda.device_count", lambda: 0)
+    predict_yolo(run, PVDN(data / "val"))
+    assert predicted_on(calls) in ("auto", None)  # as either library says it
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    predict_yolo(run, PVDN(data / "val"), device="cpu")
+    assert predicted_on(calls) == "cpu"
+    assert "CUDA_VISIBLE_DEVICES" not in os.environ  # what is trained next may use GPUs
+
+
+def predicted_on(calls: Calls) -> Any:
+    """The device of the latest prediction."""
+    return calls.made[-1][1]["device"] if calls.name == "libreyolo" else calls.predicted[-1]["device"]
+
+
+def test_ultralytics_reads_labels_anew(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
+    """It knows labels that it has read by their paths and sizes, which are the same after a box was moved."""
+    export = export_yolo(data, tmp_path / "export", size_px=64).data_file.parent
+    labels = [export / "labels" / f"{split}.cache" for split in ("train", "val")]
+    for path in labels:
+        path.write_bytes(b"of another training")
+    calls = Calls("", interrupt=lambda: seen.extend(filter(Path.exists, labels)))
+    seen: list[Path] = []
+    monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(calls))
+    train_yolo(export, tmp_path / "run", config("ultralytics"))
+    assert not seen
 
 
 def test_missing_weights(calls: Calls, data: Path, tmp_path: Path) -> None:

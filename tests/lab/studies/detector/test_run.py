@@ -15,7 +15,8 @@ from foreglow.config import PRESETS, config_to_toml, preset, read_config
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import Predictions, read_predictions, read_split_labels
 from foreglow.lab.learning.annotation import label_boxes
-from foreglow.lab.studies.detector.page import choose, pictures
+from foreglow.lab.learning.yolo import YoloConfig, train_yolo
+from foreglow.lab.studies.detector.page import choose, pictures, write_report
 from foreglow.lab.studies.detector.rows import (
     ROWS,
     DetectorPlan,
@@ -306,6 +307,7 @@ def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         "boxes: preset paper, seed 1"
     )
     assert yolo.ceiling == paper.ceiling
+    assert {arguments["device"] for _, arguments in calls.made[1:]} == {"cpu"}  # as its run-time says
     first = next(iter(PVDN(data / "test"))).image
     stages = ReferenceProposer(preset("paper").proposals).stages(first)
     assert stages is not None
@@ -318,6 +320,64 @@ def test_a_small_yolo(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     plan = DetectorPlan(rows=("yolo-small",), given={"yolo-small": tmp_path / "out/models/yolo-small"}, may_train=False)
     (same,) = run_experiment(data, tmp_path / "other", plan).rows
     assert same.examination == yolo.examination
+
+
+@pytest.mark.parametrize("is_in_split", [False, True])
+def test_a_yolo_of_other_boxes_is_beside_these(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_in_split: bool
+) -> None:
+    """Those of the row's preset stood there, whatever it had learnt from."""
+    calls = Calls("libreyolo")
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(calls))
+    data = make_data(tmp_path / "data")
+    for split in ("train", "val", "test"):
+        dataset = PVDN(data / split)
+        for image_id in dataset.frame_ids if is_in_split or split != "test" else ():
+            path = dataset.root / "labels/bounding_boxes" / f"{image_id:06d}.json"
+            path.parent.mkdir(exist_ok=True)
+            path.write_text('{"bounding_boxes": [[0, 0, 319, 239]], "labels": [1]}')
+    config = YoloConfig(image_size_px=64, device="cpu")
+    train_yolo(data, tmp_path / "run", config)
+    plan = DetectorPlan(rows=("yolo-small",), given={"yolo-small": tmp_path / "run"})
+    results = run_experiment(data, tmp_path / "out", plan)
+    (row,) = results.rows
+    if is_in_split:
+        assert (row.ceiling["recall"], row.ceiling["fp"]) == (1.0, 2)  # two images without a light
+    else:
+        assert row.ceiling == {}
+    write_report(results, (), tmp_path / "out")
+
+
+def test_a_yolo_that_cannot_be_used_is_named_before_other_rows_are_made(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "libreyolo", fake_libreyolo(Calls("libreyolo")))
+    run = train_yolo(make_data(tmp_path / "data"), tmp_path / "run", YoloConfig(image_size_px=64, device="cpu"))
+    given = {"yolo-small": run.folder}
+    DetectorPlan(rows=("yolo-small",), given=given)
+    whole = run.weights.read_bytes()
+    for change, message in ((whole[:-30], "expected a whole checkpoint"), (None, "no such file, expected the weights")):
+        run.weights.unlink()
+        if change is not None:
+            run.weights.write_bytes(change)
+        with pytest.raises((ValueError, FileNotFoundError), match=rf"best\.pt: {message}"):
+            DetectorPlan(rows=("yolo-small",), given=given)
+    run.weights.write_bytes(whole)
+    monkeypatch.setitem(sys.modules, "libreyolo", None)
+    with pytest.raises(ModuleNotFoundError, match="libreyolo"):
+        DetectorPlan(rows=("yolo-small",), given=given)
+
+
+def test_rows_without_an_f_are_not_compared(tmp_path: Path) -> None:
+    """Drives without a light, in which nothing is found; the table was lost with an error."""
+    data = make_data(tmp_path / "data")
+    for label in (data / "test/labels/keypoints").glob("*.json"):
+        label.write_text(json.dumps(json.loads(label.read_text()) | {"annotations": []}))
+    models = {name: make_model(tmp_path / f"{name}.onnx", bias=-1.0) for name in ("paper", "compact")}
+    results = run_experiment(data, tmp_path / "out", DetectorPlan(rows=("paper", "compact"), given=models))
+    assert [row.examination["quality"]["f1"] for row in results.rows] == [None, None]
+    assert results.comparisons == ()
+    write_report(results, (), tmp_path / "out")
 
 
 def test_reasons(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -105,11 +105,8 @@ class Backend(ABC):
             if not Path(config.weights).is_file():
                 raise FileNotFoundError(f"{config.weights}: no such file, expected weights to start from")
             check_torch_file(Path(config.weights))
-        if config.device.isdigit():
-            import torch
-
-            if int(config.device) >= torch.cuda.device_count():
-                raise ValueError(f"device: expected auto or cpu, torch has no GPU with the number {config.device}")
+        if not is_here(config.device):
+            raise ValueError(f"device: expected auto or cpu, torch has no GPU with the number {config.device}")
 
     @abstractmethod
     def train(self, data_file: Path, folder: Path, config: YoloConfig) -> Path:
@@ -195,6 +192,8 @@ class UltralyticsBackend(Backend):
     def train(self, data_file: Path, folder: Path, config: YoloConfig) -> Path:
         """See `Backend.train`."""
         make_network = _ultralytics().YOLO
+        for split in ("train", "val"):  # labels as it read them last; it takes others of the same size for those
+            (data_file.parent / "labels" / f"{split}.cache").unlink(missing_ok=True)
         run = folder / "run"
         best, checkpoint = run / "weights" / "best.pt", run / "weights" / "last.pt"
         if not checkpoint.exists():
@@ -226,6 +225,15 @@ class _UltralyticsDetector(_TorchDetector):
 
 
 BACKENDS: dict[str, type[Backend]] = {"libreyolo": LibreBackend, "ultralytics": UltralyticsBackend}
+
+
+def is_here(device: str) -> bool:
+    """Whether torch has a device: the GPU of a number; `auto` and `cpu` are everywhere."""
+    if not device.isdigit():
+        return True
+    import torch
+
+    return int(device) < torch.cuda.device_count()
 
 
 def training_arguments(config: YoloConfig, data_file: Path, run: Path) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 from foreglow.checksums import CHECKSUMS, announce, check_unchanged, checksums_file, missing_files
 from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
-from foreglow.datasets.images import png
+from foreglow.datasets.images import IMAGE_SUFFIXES, png
 from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
@@ -30,6 +30,11 @@ from foreglow.proposals import Proposer, make_proposer
 from foreglow.types import Frame, Image
 from foreglow.whole_files import write_atomic
 from foreglow.wording import check_one_of
+
+_ANNOTATED, _PRESET = "as annotated", "preset "  # which boxes an export has, as its settings say it
+
+_LEARNT_SUFFIXES = IMAGE_SUFFIXES - {".npy"}
+"""Of images that a YOLO learns from; in `.npy` libraries keep what they have read of others."""
 
 CLASS_NAME = "light_artifact"
 DATA_NAME = "data.yaml"
@@ -83,8 +88,9 @@ def export_yolo(
     The images are grey and scaled to a square, as in the published conversion. A line of a label file is
     `0 cx cy w h`, the centre and size of a box with a key point in it, relative to the image. Images without boxes have
     an empty file. All files appear at the end; after an error none do. An interrupted export, whose files are hidden,
-    continues where it stopped; images are exported again if they or their labels have changed since. What somebody has
-    changed in an earlier export, by its `checksums.json`, is neither counted nor replaced.
+    continues where it stopped; images are exported again if they or their labels have changed since, and those that are
+    no longer in the data set are removed. What somebody has changed in an earlier export, by its `checksums.json`, is
+    neither counted nor replaced.
 
     Args:
         data: A data set with train, val and test in PVDN's layout, with frames of 8 bits.
@@ -98,7 +104,7 @@ def export_yolo(
     Raises:
         FileNotFoundError: If the data set lacks all of the splits, or an image or a label is missing.
         ValueError: If a file is broken, there is no such preset or split, `folder` holds something other than this
-            export, a file of it was changed since, or another run is writing into it.
+            export, a file of it was changed since, an image was added, or another run is writing into it.
         OSError: If the disk is full; the message names the file.
     """
     for name in splits:
@@ -115,20 +121,23 @@ def export_yolo(
     )
     settings = ExportSettings(
         data=str(Path(data).resolve()),
-        boxes="as annotated" if is_annotated else f"preset {preset_name or 'paper'}",
+        boxes=_ANNOTATED if is_annotated else f"{_PRESET}{preset_name or 'paper'}",
         size_px=size_px,
         splits=tuple(wanted),
     )
-    proposer = None if is_annotated else make_proposer(preset(preset_name or "paper").proposals)
+    proposer = proposer_of(settings.boxes)
     with FolderLock(folder):
         _claim(folder, settings)
         try:
-            export, checksums = _exported(folder, settings, wanted, proposer, progress)
+            export, checksums, gone = _exported(folder, settings, wanted, proposer, progress)
             announce(folder, checksums)
         except Exception:
             shutil.rmtree(folder / UNFINISHED_EXPORT, ignore_errors=True)
             raise
         for part in (EXPORT, "labels", "images", CHECKSUMS, DATA_NAME):  # images say what both were made of
+            if part == CHECKSUMS:  # which does not know them
+                for name in gone:
+                    (folder / name).unlink()
             _move(folder / UNFINISHED_EXPORT / part, folder / part)
         (folder / UNFINISHED_EXPORT).rmdir()
     return export
@@ -140,11 +149,12 @@ def _exported(
     splits: Mapping[SplitName, Path],
     proposer: Proposer | None,
     progress: Progress | None,
-) -> tuple[YoloExport, dict[str, int]]:
+) -> tuple[YoloExport, dict[str, int], set[str]]:
     """Exports into the hidden folder in `folder` what is in neither; that may hold what is done already.
 
     Returns:
-        What is exported then, and the checksums of all its images and label files.
+        What is exported then, the checksums of all its images and label files, and the files of an earlier export of
+        this data set that are of none of its images now.
     """
     work = folder / UNFINISHED_EXPORT
     known = check_unchanged(folder)
@@ -177,10 +187,21 @@ def _exported(
             num_done += 1
             if progress is not None:
                 progress(num_done, num_images)
+    for path in work.glob("*/*/*"):  # of images that were in the data set when it was interrupted
+        if path.relative_to(work).as_posix() not in checksums:
+            path.unlink()
+    _check_alone(folder, known.keys() | checksums.keys())
     write_atomic(work / CHECKSUMS, checksums_file(checksums))
     write_atomic(work / DATA_NAME, _data_text(tuple(datasets)).encode())
     counts = {name: len(dataset) for name, dataset in datasets.items()}
-    return YoloExport(folder / DATA_NAME, settings, counts, num_boxes), checksums
+    return YoloExport(folder / DATA_NAME, settings, counts, num_boxes), checksums, known.keys() - checksums.keys()
+
+
+def _check_alone(folder: Path, known: Collection[str]) -> None:
+    """ValueError if there is an image that is not `known`: a YOLO learns from all in a folder."""
+    for path in sorted((folder / "images").glob("*/*")):
+        if path.suffix.lower() in _LEARNT_SUFFIXES and path.relative_to(folder).as_posix() not in known:
+            raise ValueError(f"{path}: expected images that were exported here, and no others; move this one elsewhere")
 
 
 def _move(path: Path, target: Path) -> None:
@@ -210,13 +231,15 @@ def read_export(folder: Path) -> ExportSettings:
 
     Raises:
         FileNotFoundError: If there is none, it was interrupted, or a file of it is gone.
-        ValueError: If its settings are broken, or a file of it was changed since.
+        ValueError: If its settings are broken, or a file of it was changed since, or an image was added.
     """
     for name in (EXPORT, DATA_NAME):
         if not (folder / name).is_file():
             raise FileNotFoundError(f"{folder / name}: no such file, expected a complete export of `export-yolo`")
     settings = read_json(folder / EXPORT, ExportSettings)
-    check_unchanged(folder)
+    known = check_unchanged(folder)
+    if known:  # an export of an early version has no checksums
+        _check_alone(folder, known)
     for path in missing_files(folder):
         raise FileNotFoundError(f"{path}: no such file, expected a complete export of `export-yolo`")
     return settings
@@ -225,6 +248,15 @@ def read_export(folder: Path) -> ExportSettings:
 def is_export(folder: Path) -> bool:
     """Whether `folder` holds an export, complete or not, rather than a data set."""
     return any((home / EXPORT).is_file() for home in (folder, folder / UNFINISHED_EXPORT))
+
+
+def proposer_of(boxes: str) -> Proposer | None:
+    """What proposes the `boxes` of `ExportSettings`; None for those in the data set.
+
+    Raises:
+        ValueError: If there is no such preset.
+    """
+    return None if boxes == _ANNOTATED else make_proposer(preset(boxes.removeprefix(_PRESET)).proposals)
 
 
 def positive_boxes(dataset: LabelledSource, frame: Frame, proposer: Proposer | None) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ from foreglow.checksums import check_unchanged
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.lab.evaluation import Predictions
-from foreglow.lab.learning.yolo.backends import BACKENDS, Detector, YoloConfig
+from foreglow.lab.learning.kept_files import check_torch_file
+from foreglow.lab.learning.yolo.backends import BACKENDS, Detector, YoloConfig, is_here
 from foreglow.lab.learning.yolo.export import (
     DATA_NAME,
     ExportSettings,
@@ -33,6 +35,9 @@ from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
 
 CONFIG_NAME, RESULTS_NAME, TRAINING_NAME = "config.json", "results.json", "training"
+
+_GPUS = "CUDA_VISIBLE_DEVICES"
+"""The variable of the environment with the GPUs that torch may use; ultralytics sets it, also to none."""
 
 
 class YoloSettings(Record):
@@ -174,10 +179,36 @@ def read_yolo_run(folder: Path) -> YoloRun:
     return YoloRun(folder, read_json(folder / CONFIG_NAME, YoloSettings), read_json(folder / RESULTS_NAME, YoloResults))
 
 
+def check_usable(run: YoloRun) -> None:
+    """Passes a run that can predict here.
+
+    Raises:
+        FileNotFoundError: If the weights are missing.
+        ValueError: If they are damaged.
+        ModuleNotFoundError: If the library is not installed.
+    """
+    if not run.weights.is_file():
+        raise FileNotFoundError(f"{run.weights}: no such file, expected the weights of the run {run.folder}")
+    check_torch_file(run.weights)
+    BACKENDS[run.settings.training.backend]().version()
+
+
 def predict_yolo(
-    run: YoloRun, dataset: LabelledSource, *, num_threads: int | None = None, progress: Progress | None = None
+    run: YoloRun,
+    dataset: LabelledSource,
+    *,
+    device: str | None = None,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
 ) -> YoloPredictions:
     """Runs the network of `run` over the selected images of `dataset`.
+
+    Args:
+        run: A finished training.
+        dataset: The images.
+        device: What it runs on, as in `YoloConfig`; None for what it was trained on, or without that GPU for `auto`.
+        num_threads: Of a processor; None for as many as torch takes.
+        progress: Called after each image.
 
     Raises:
         FileNotFoundError: If the weights or an image are missing.
@@ -187,11 +218,11 @@ def predict_yolo(
     boxes: dict[int, NDArray[np.float64]] = {}
     scores: dict[int, NDArray[np.float64]] = {}
     times_ms: list[float] = []
-    if not run.weights.is_file():
-        raise FileNotFoundError(f"{run.weights}: no such file, expected the weights of the run {run.folder}")
+    check_usable(run)
     config = run.settings.training
-    detector = BACKENDS[config.backend]().load(run.weights, config)
+    wanted = device or (config.device if is_here(config.device) else "auto")
     with _threads(num_threads):
+        detector = BACKENDS[config.backend]().load(run.weights, config.model_copy(update={"device": wanted}))
         for num_done, frame in enumerate(dataset, start=1):
             started = time.perf_counter_ns()
             boxes[frame.frame], scores[frame.frame] = detect_in_frame(detector, frame, run.settings.export_size_px)
@@ -221,18 +252,20 @@ def detect_in_frame(detector: Detector, frame: Frame, size_px: int) -> tuple[NDA
 
 @contextlib.contextmanager
 def _threads(num_threads: int | None) -> Iterator[None]:
-    """Lets torch use this many threads inside the block."""
-    if num_threads is None:
-        yield
-        return
+    """Lets torch use this many threads inside the block, behind which it sees the GPUs that ultralytics hid in it."""
     import torch
 
-    before = torch.get_num_threads()
-    torch.set_num_threads(num_threads)
+    before, visible = torch.get_num_threads(), os.environ.get(_GPUS)
+    if num_threads is not None:
+        torch.set_num_threads(num_threads)
     try:
         yield
     finally:
         torch.set_num_threads(before)
+        if visible is None:
+            os.environ.pop(_GPUS, None)
+        else:
+            os.environ[_GPUS] = visible
 
 
 def _exported(

@@ -171,7 +171,7 @@ def _page(results: DetectorResults) -> Page:
     page.text(
         f"{num_images} images of {num_scenes} drives of {results.data}. Boxes count with a score above 0.5.",
         "In parentheses: the labelled boxes themselves, which bound any classifier;",
-        "for a YOLO, those that it learnt from, which bound nothing.",
+        "for a YOLO, boxes like those that it learnt from, which bound nothing.",
         "Multiply-adds are those of one crop, or of one image of a YOLO, and of a whole frame.",
         "Run-times are for one thread and leave decoding out, mean ± standard deviation;",
         "a YOLO runs in torch, the others in ONNX Runtime.",
@@ -282,7 +282,7 @@ def _main_cells(row: RowResult) -> Cells:
     rates = []
     for name in METRICS:
         spread = f" ± {_rate(quality[f'{name}_std'])}" if name in ("q_k", "q_b") and quality[name] is not None else ""
-        rates.append(f"{_rate(quality[name])}{spread} ({_rate(row.ceiling[name])})")
+        rates.append(f"{_rate(quality[name])}{spread} ({_rate(row.ceiling.get(name))})")
     counts = (row.num_parameters, row.num_multiply_adds, row.num_multiply_adds_frame)
     times_ms = (f"{_ms(times['mean'])} ± {_ms(times['std'])}", _ms(times["median"]), _ms(times["p99"]))
     width_px, height_px = row.image_size_px
@@ -326,7 +326,7 @@ def _comparison_lines(results: DetectorResults) -> list[str]:
         f"{ROWS[found['row']].title} less {ROWS[found['other']].title}: {found['a'] - found['b']:+.3f} "
         f"({interval(found)})"
         for found in results.comparisons
-    ] or ["No two rows to compare."]
+    ] or ["No two rows with an F to compare."]
 
 
 def _origins(results: DetectorResults) -> Iterator[str]:

@@ -135,6 +135,7 @@ class DetectorPlan:
 PAPER_YOLO = "960 px; its repository: 200 epochs from COCO weights"
 
 _FORMAT = 3  # of a row's file; with another number all rows are made anew
+_YOLO_FORMAT = 2  # the same of a YOLO's
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,13 +164,18 @@ def check_given(given: Mapping[str, Path]) -> None:
     Raises:
         FileNotFoundError: If one is missing.
         ValueError: If one is broken, was trained on another preset's boxes, or says that it is another network.
+        ModuleNotFoundError: If the library of a YOLO is not installed.
     """
     for name, path in given.items():
         spec = ROWS[name]
         if not path.exists():
             raise FileNotFoundError(f"{path}: no such model, given with {spec.option}")
         file = _model_file(path, spec.kind)
-        if spec.kind == "classifier":
+        if spec.kind == "yolo":
+            from foreglow.lab.learning.yolo import check_usable, read_yolo_run
+
+            check_usable(read_yolo_run(path))
+        else:
             _check_network(file, OnnxClassifier(ClassifierConfig(model=file)).metadata, spec)
             _configuration(path, spec)
 
@@ -219,6 +225,7 @@ def row_key(name: str, workspace: Workspace) -> str:
     spec, plan = ROWS[name], workspace.plan
     parts: list[Any] = [_FORMAT, split_digest(split_folder(workspace.data, plan.split)), THRESHOLD]
     parts.append(spec.configuration.proposals.model_dump(mode="json"))
+    parts += [_YOLO_FORMAT] if spec.kind == "yolo" else []
     if name in plan.given:
         parts.append(given_digest(name, plan.given[name]))
     else:
@@ -373,8 +380,8 @@ def _recipe(name: str, plan: DetectorPlan) -> Any:
 
 
 def _with_model(config: PipelineConfig, model: Path) -> PipelineConfig:
-    """`config` with this model, at the table's threshold, on one thread."""
-    fields = {"model": model, "score_threshold": THRESHOLD, "num_threads": 1}
+    """`config` with this model, at the table's threshold, on one thread of the processor."""
+    fields = {"model": model, "score_threshold": THRESHOLD, "num_threads": 1, "device": "cpu"}
     return config.model_copy(update={"classifier": config.classifier.model_copy(update=fields)})
 
 
@@ -410,6 +417,8 @@ def has_library() -> bool:
 
 
 def _has_gpu(plan: DetectorPlan) -> bool:
+    if importlib.util.find_spec("torch") is None:
+        return False
     import torch
 
     return plan.device != "cpu" and torch.cuda.is_available()

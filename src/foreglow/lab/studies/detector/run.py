@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from foreglow.config import ProposalConfig, preset
+from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
 from foreglow.datasets.json_files import Record, read_json
 from foreglow.files import to_json
@@ -48,7 +48,6 @@ from foreglow.lab.studies.detector.rows import (
 )
 from foreglow.lab.studies.progress import Progress
 from foreglow.pipeline import Pipeline
-from foreglow.proposals import make_proposer
 from foreglow.proposals.reference import working_sizes
 from foreglow.provenance import processor_name, provenance
 from foreglow.runs.predictions import write_predictions
@@ -57,6 +56,7 @@ from foreglow.whole_files import RemadeWarning, write_atomic
 
 if TYPE_CHECKING:
     from foreglow.lab.learning.training_progress import RunProgress
+    from foreglow.lab.learning.yolo import YoloRun
 
 
 NOT_MADE = {"name", "title", "reason"}
@@ -79,7 +79,8 @@ class RowResult(Record):
         load: Programs that wanted a core when it was measured, over the cores.
         num_proposals: Mean boxes a frame, whatever their score.
         num_boxes: Mean boxes a frame with a score above the threshold.
-        ceiling: The metrics of the labelled boxes themselves, a `BoxQuality` as `to_json` has it.
+        ceiling: The metrics of the labelled boxes themselves, a `BoxQuality` as `to_json` has it; empty for a YOLO that
+            learnt from boxes which the split does not have.
         examination: The metrics and all else, an `Examination` as `to_json` has it.
     """
 
@@ -236,9 +237,9 @@ def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: 
     from foreglow.lab.learning.yolo import predict_yolo
 
     trained = yolo_run(name, workspace)
-    found = predict_yolo(trained, dataset, num_threads=1, progress=workspace.progress_of(f"{name}: images"))
-    proposer = make_proposer(preset(ROWS[name].preset).proposals)
-    proposed = {frame.frame: proposer.propose(frame.image).boxes_xyxy_px.astype(np.float64) for frame in dataset}
+    ceiling = _yolo_ceiling(trained, dataset, labels)
+    progress = workspace.progress_of(f"{name}: images")
+    found = predict_yolo(trained, dataset, device="cpu", num_threads=1, progress=progress)
     return _measured(name, found.predictions, found.frame_ms, workspace, labels).model_copy(
         update={
             "note": yolo_note(trained),
@@ -246,9 +247,21 @@ def _yolo_row(name: str, workspace: Workspace, dataset: LabelledSource, labels: 
             "num_parameters": trained.results.num_parameters,
             "num_multiply_adds": trained.results.num_multiply_adds,
             "num_multiply_adds_frame": float(trained.results.num_multiply_adds),
-            "ceiling": _ceiling(_unscored(proposed), labels),
+            "ceiling": ceiling,
         }
     )
+
+
+def _yolo_ceiling(run: YoloRun, dataset: LabelledSource, labels: SplitLabels) -> dict[str, Any]:
+    """The metrics of boxes like those that a YOLO learnt from; empty where they are not in the split."""
+    from foreglow.lab.learning.yolo import positive_boxes, proposer_of
+
+    proposer = proposer_of(run.settings.boxes)
+    if proposer is None and any(dataset.boxes(image_id) is None for image_id in dataset.frame_ids):
+        return {}
+    boxes = {frame.frame: positive_boxes(dataset, frame, proposer) for frame in dataset}
+    quality: dict[str, Any] = to_json(evaluate_boxes(labels.keypoints_px, _unscored(boxes)))
+    return quality
 
 
 def _working_size_px(config: ProposalConfig, frame: Frame) -> tuple[int, int]:
@@ -304,8 +317,10 @@ def _unscored(boxes_xyxy_px: Mapping[int, NDArray[np.float64]]) -> Predictions:
 
 def _compared(labels: SplitLabels, predictions: Mapping[str, Predictions], seed: int) -> tuple[dict[str, Any], ...]:
     counts = {
-        name: scene_counts(match_boxes(labels.keypoints_px, predicted), labels.sequence_of, THRESHOLD)
+        name: found
         for name, predicted in predictions.items()
+        for found in [scene_counts(match_boxes(labels.keypoints_px, predicted), labels.sequence_of, THRESHOLD)]
+        if not np.isnan(f1(found.sum(axis=0)))  # without lights and false boxes there is no F
     }
     return tuple(
         {"row": a, "other": b, **to_json(paired_bootstrap(counts[a], counts[b], f1, seed=seed))}
