@@ -136,8 +136,8 @@ def export_yolo(
             raise
         for part in (EXPORT, "labels", "images", CHECKSUMS, DATA_NAME):  # images say what both were made of
             if part == CHECKSUMS:  # which does not know them
-                for name in gone:
-                    (folder / name).unlink()
+                for image in gone:
+                    (folder / image).unlink()
             _move(folder / UNFINISHED_EXPORT / part, folder / part)
         (folder / UNFINISHED_EXPORT).rmdir()
     return export
