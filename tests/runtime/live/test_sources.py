@@ -118,6 +118,7 @@ def test_a_recorded_replay_begins_with_its_first_frame(speed: float, drive: list
         def __iter__(self) -> Iterator[Frame]:
             time.sleep(0.2)  # as opening a file takes
             yield from super().__iter__()
+            time.sleep(0.2)  # and the end of the last one's work
 
     today_ns = 1_700_000_000_000_000_000
     frames = [dataclasses.replace(one, timestamp_ns=today_ns + one.timestamp_ns) for one in drive[:20]]

@@ -142,7 +142,7 @@ class LiveLoop:
         self._num_taken = self._num_hung = self._num_late = 0
         self._beam: BeamCommand | None = None
         self._low_s = self._health_s = -1.0
-        self._reported: tuple[tuple[str, ...], str, bool] = ((), "", False)
+        self._reported: tuple[tuple[str, ...], str, bool, bool] = ((), "", False, False)
         self._end = ""
 
     def run(self, limit: int | None = None) -> LiveSummary:
@@ -298,7 +298,7 @@ class LiveLoop:
             self._command_low()
         self._note_sinks()
         beam = self._beam  # with a fault that is over already it says so until the next frame's
-        present = (*self._book.present, beam is not None and bool(beam.faults))
+        present = (*self._book.present, beam is not None and bool(beam.faults), self._is_timed)
         if now_s - self._health_s >= HEALTH_S or present != self._reported:
             self._health_s, self._reported = now_s, present
             self._report_health()
@@ -377,6 +377,11 @@ class LiveLoop:
         behind = [sink.words for sink in self._sinks if sink.is_behind]
         self._book.note(SINKS, [LiveFault.NOT_RECORDED] if behind else [], "; ".join(behind))
 
+    @property
+    def _is_timed(self) -> bool:
+        """Whether the source's clock has begun: that of a replay does with its first frame."""
+        return self._source.is_endless or self._mailbox.num_put > 0
+
     def _report_health(self) -> None:
         health = Health(
             self._source.now_ns(),
@@ -386,7 +391,7 @@ class LiveLoop:
             self._num_late,
             self._beam,
             self._reported[1],
-            is_timed=self._source.is_endless or self._mailbox.num_put > 0,
+            is_timed=self._is_timed,
         )
         for sink in self._sinks:
             sink.write_health(health)
