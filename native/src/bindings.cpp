@@ -24,6 +24,7 @@
 #include "foreglow/image_stripes.hpp"
 #include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
+#include "foreglow/twin_lights.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -155,6 +156,14 @@ nb::tuple light_of_boxes(const PixelArray& image, const BoxArray& boxes) {
     foreglow::light_of_boxes(view, reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, pixels.data(),
                              peaks.data());
     return nb::make_tuple(pixels, peaks);
+}
+
+auto twin_lights(const PixelArray& image, const BoxArray& boxes) {
+    const foreglow::ImageView view = view_of(image);
+    const std::size_t num_boxes = boxes.shape(0);
+    auto columns = owned(new double[num_boxes * 2], {num_boxes, 2});
+    foreglow::twin_lights(view, reinterpret_cast<const foreglow::Box*>(boxes.data()), num_boxes, columns.data());
+    return columns;
 }
 
 auto pair_spacings(const Columns<2>& centres, const Columns<2>& sizes, const Column& contrasts) {
@@ -301,6 +310,8 @@ NB_MODULE(_native, module) {
                      "Pixels of the last frame that double precision had to decide.");
     module.def("light_of_boxes", &light_of_boxes, "image"_a, "boxes_xyxy_px"_a,
                "Where the light of each box is, pixels (N, 2), and its peak over the surroundings (N,) of full scale.");
+    module.def("twin_lights", &twin_lights, "image"_a, "boxes_xyxy_px"_a,
+               "The columns of the left and the right light of each box, pixels (N, 2); NaN without just two.");
     module.def("pair_spacings", &pair_spacings, "centres_rad"_a, "sizes_rad"_a, "contrasts"_a,
                "How far each box is from its partner (N,), radians; NaN without one.");
     nb::class_<foreglow::ImageChange>(module, "ImageChange", "What differs between two images.")

@@ -16,6 +16,7 @@
 #include "foreglow/image_change.hpp"
 #include "foreglow/lamp_pairs.hpp"
 #include "foreglow/proposals.hpp"
+#include "foreglow/twin_lights.hpp"
 
 namespace {
 
@@ -228,6 +229,23 @@ void test_light_at_every_border() {
 }
 
 template <typename Pixel>
+void test_twins_at_every_border() {
+    const Scene<Pixel> scene(70, 41, 2, 3);
+    std::vector<Box> boxes{{-2147483647, -2147483647, 2147483647, 2147483647}, {60, 30, 2147483647, 2147483647}};
+    for (std::int32_t x = -100; x < 170; x += 13) {
+        for (std::int32_t y = -60; y < 110; y += 7) boxes.push_back({x, y, x + 1 + (x & 63), y + 1 + (y & 31)});
+    }
+    std::vector<double> columns(2 * boxes.size());
+    foreglow::twin_lights(scene.view, boxes.data(), boxes.size(), columns.data());
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        const double left = columns[2 * i], right = columns[2 * i + 1];
+        expect(std::isnan(left) == std::isnan(right), "a light has its twin, or there is none");
+        expect(std::isnan(left) || (std::max(boxes[i].x1, 0) < left && left < right && right < std::min(boxes[i].x2, 70)),
+               "twins are in their box and in the image, the left one first");
+    }
+}
+
+template <typename Pixel>
 void test_changes_of_images_of_any_size() {
     foreglow::ImageComparer comparer;
     foreglow::ImageChange change;
@@ -359,6 +377,8 @@ int main() {
     test_crops_at_every_border<std::uint16_t>();
     test_light_at_every_border<std::uint8_t>();
     test_light_at_every_border<std::uint16_t>();
+    test_twins_at_every_border<std::uint8_t>();
+    test_twins_at_every_border<std::uint16_t>();
     test_changes_of_images_of_any_size<std::uint8_t>();
     test_changes_of_images_of_any_size<std::uint16_t>();
     test_lamp_pairs();

@@ -24,6 +24,9 @@ class ProposalGenerator:
 def light_of_boxes(
     image: NDArray[np.uint8] | NDArray[np.uint16], boxes_xyxy_px: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def twin_lights(
+    image: NDArray[np.uint8] | NDArray[np.uint16], boxes_xyxy_px: NDArray[np.int32]
+) -> NDArray[np.float64]: ...
 def pair_spacings(
     centres_rad: NDArray[np.float64], sizes_rad: NDArray[np.float64], contrasts: NDArray[np.float64]
 ) -> NDArray[np.float64]: ...

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.config import DistanceConfig
+from foreglow.distance import road_surface
+from foreglow.distance.lamp_pairs import twin_columns_px
 from foreglow.distance.road_surface import RoadSurface
 from foreglow.types import EgoMotion, Frame, Ranges, RoadAhead
 from tests.distance.roads import HALF_WIDTH_M, camera, detections, frame, lights, line, road, straight
@@ -48,6 +50,45 @@ def test_without_a_road_there_still_is_a_range() -> None:
     assert (np.abs(ranges.ranges_m - truth_m) < 2 * ranges.sigmas_m).all()
     with_road, _ = estimated(LAMPS_M[:2], straight())
     assert (ranges.sigmas_m > with_road.sigmas_m).all()
+
+
+@pytest.mark.parametrize("ahead", [straight(), None], ids=["road", "no road"])
+@pytest.mark.parametrize("range_m", [100.0, 150.0, 200.0])
+def test_the_spacing_of_two_lamps_in_one_box_tells_their_range(range_m: float, ahead: RoadAhead | None) -> None:
+    lamps = np.array([[range_m, HALF_WIDTH_M + side, 0.65] for side in (-0.65, 0.65)])
+    image, found = lights(camera(), lamps, radius_px=2)
+    both = detections([[*found.boxes_xyxy_px[:, :2].min(axis=0), *found.boxes_xyxy_px[:, 2:].max(axis=0)]])
+    filled = image.copy()
+    (x1, y1, x2, y2), level = both.boxes_xyxy_px[0], image.max()
+    filled[y1 + 1 : y2 - 1, x1 + 1 : x2 - 1] = level
+    apart, merged = (
+        RoadSurface(DistanceConfig()).estimate(frame(its, camera(), ahead), both) for its in (image, filled)
+    )
+    assert apart.ranges_m == pytest.approx(range_m, rel=0.1)
+    assert apart.sigmas_m < 0.7 * merged.sigmas_m
+
+
+def test_two_lights_of_one_box_are_no_lamps_of_a_near_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A vehicle that is seen from the side would seem too far away."""
+    lamps = np.array([[40.0, HALF_WIDTH_M + side, 0.65] for side in (-0.35, 0.35)])
+    image, found = lights(camera(), lamps, radius_px=2)
+    both = detections([[*found.boxes_xyxy_px[:, :2].min(axis=0), *found.boxes_xyxy_px[:, 2:].max(axis=0)]])
+    assert not np.isnan(twin_columns_px(image, both.boxes_xyxy_px)).any()
+    known = frame(image, camera(), straight())
+    ranges = RoadSurface(DistanceConfig()).estimate(known, both)
+    monkeypatch.setattr(road_surface, "twin_columns_px", lambda _, boxes: np.full((len(boxes), 2), np.nan))
+    assert ranges.ranges_m == RoadSurface(DistanceConfig()).estimate(known, both).ranges_m
+
+
+def test_a_lamp_with_a_partner_in_another_box_is_not_halved() -> None:
+    """Each headlamp at 30 m is two lights, 0.3 m apart, which alone would be a vehicle 130 m away."""
+    near = np.array([[30.0, HALF_WIDTH_M + side, 0.65] for side in (-0.8, -0.5, 0.5, 0.8)])
+    image, found = lights(camera(), near, radius_px=4)
+    corners = found.boxes_xyxy_px.reshape(2, 2, 4)
+    boxes = detections([[*each[:, :2].min(axis=0), *each[:, 2:].max(axis=0)] for each in corners])
+    assert not np.isnan(twin_columns_px(image, boxes.boxes_xyxy_px)).any()
+    ranges = RoadSurface(DistanceConfig()).estimate(frame(image, camera(), straight()), boxes)
+    np.testing.assert_allclose(ranges.ranges_m, 30.0, rtol=0.15)
 
 
 def test_a_place_that_is_not_known_at_all_is_no_place() -> None:

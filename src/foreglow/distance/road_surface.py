@@ -20,11 +20,11 @@ from foreglow.distance.hypotheses import (
     read_hypotheses,
 )
 from foreglow.distance.interface import RangeEstimator
-from foreglow.distance.lamp_pairs import SPACING_M, pair_spacings_rad
+from foreglow.distance.lamp_pairs import NEAREST_TWINS_M, SPACING_M, pair_spacings_rad, twin_columns_px
 from foreglow.distance.pitch import MarkingsPitch, make_pitch_source
 from foreglow.distance.ribbon import Ribbon, ribbon
 from foreglow.distance.weighing import Weigher
-from foreglow.geometry import Floats
+from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster, calibrated
 from foreglow.types import Boxes, Detections, Frame, Image, Ranges
 
@@ -126,13 +126,25 @@ class RoadSurface(RangeEstimator):
         directions = np.stack([np.arctan2(left, forward), np.arctan2(up, np.hypot(forward, left))], -1)
         sizes = (boxes_px[:, 2:] - boxes_px[:, :2]) / camera.focal_px
         features = np.stack([np.log(sizes[:, 0]), np.log(sizes[:, 1] / sizes[:, 0]), np.log(contrasts)], -1)
+        spacings_rad = pair_spacings_rad(directions, sizes, contrasts)
+        twins_px = twin_columns_px(frame.image, boxes_px)
+        twins = np.flatnonzero(np.isnan(spacings_rad) & ~np.isnan(twins_px[:, 0]))
+        if len(twins):
+            apart_rad = self._apart_rad(camera, twins_px[twins], pixels[twins, 1])
+            spacings_rad[twins] = np.where(apart_rad < SPACING_M / NEAREST_TWINS_M, apart_rad, np.nan)
         boxes = BoxEvidence(
             directions_rad=directions,
             sizes_rad=sizes,
             features=(features - FEATURE_MEANS) / FEATURE_SCALES,
-            pair_log_ranges=np.log(SPACING_M / pair_spacings_rad(directions, sizes, contrasts)),
+            pair_log_ranges=np.log(SPACING_M / spacings_rad),
         )
         return View(road, rays.origin_m, pitch.sigma_rad, boxes)
+
+    def _apart_rad(self, camera: Camera, columns_px: Floats, rows_px: Floats) -> Floats:
+        """Angles between two columns in a row each, shape (M,), radians."""
+        pixels = np.stack([columns_px, np.repeat(rows_px[:, None], 2, axis=1)], axis=-1)
+        left, right = self._caster.cast(camera, pixels.reshape(-1, 2)).directions.reshape(-1, 2, 3).swapaxes(0, 1)
+        return np.asarray(np.linalg.norm(left - right, axis=-1))
 
     def reset(self) -> None:
         """Forgets earlier frames, as at the start of a sequence."""
