@@ -15,6 +15,7 @@ from foreglow.config import PipelineConfig, preset
 from foreglow.plugins import METHODS, built, check_methods, checked, name_of, staying
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
+from foreglow.white import full_scale
 from foreglow.wording import shortened
 
 if TYPE_CHECKING:
@@ -252,23 +253,24 @@ class Pipeline:
             stages.resume()
         self._sequence, self._has_failed = frame.sequence, True  # until all stages have seen this frame
         stopwatch.begin("proposals")
-        proposals = stages.proposer.propose(frame.image)
+        seen = full_scale(frame, self.config.guard.white_level)
+        proposals = stages.proposer.propose(seen.image)
         if stages.standing is not None:
             stopwatch.begin("standing")
-            proposals = stages.standing.leave_out(frame, proposals)
+            proposals = stages.standing.leave_out(seen, proposals)
         detections: Detections | None = None
         ranges: Ranges | None = None
         tracks: Tracks | None = None
         beam: BeamCommand | None = None
         if stages.classifier is not None:
             stopwatch.begin("classifier")
-            detections = stages.classifier.classify(frame, proposals)
+            detections = stages.classifier.classify(seen, proposals)
             if stages.estimator is not None and frame.camera is not None:
                 stopwatch.begin("distance")
-                ranges = estimated(stages.estimator, frame, detections)
+                ranges = estimated(stages.estimator, seen, detections)
             if stages.tracker is not None:
                 stopwatch.begin("tracking")
-                tracks = tracked(stages.tracker, frame, detections, ranges)
+                tracks = tracked(stages.tracker, seen, detections, ranges)
                 if stages.beam is not None:
                     stopwatch.begin("beam")
                     beam = stages.beam.command(frame, tracks, now_ns=now_ns, faults=faults)

@@ -55,6 +55,13 @@ def test_the_paper_is_silent_while_the_production_system_reports(is_reported: bo
     assert len(policy(PaperPolicy).gaps(seen, tracks_at(0, LAMP))) == num_gaps
 
 
+def test_the_paper_has_a_gap_for_a_box_wholly_beside_the_image_without_any_margin() -> None:
+    config = BeamConfig(policy="paper", margin_deg=0.0)
+    tracks = dataclasses.replace(tracks_at(0, LAMP), boxes_xyxy_px=np.array([[1300.0, 470.0, 1310.0, 480.0]]))
+    command = make_policy(config, LAMPS).command(lit(0), tracks)
+    assert command.gaps_rad.shape == (1, 2)
+
+
 def test_brightness_of_boxes() -> None:
     image = np.zeros((20, 30), np.uint8)
     image[5, 7], image[19, 29] = 100, 200

@@ -125,15 +125,17 @@ def test_a_frame_may_bring_its_earlier_image() -> None:
     seen = InputMaker(LAG)
     seen.make(frame(0, 0.0), NOTHING)
     np.testing.assert_array_equal(brought.crops, seen.make(frame(1, 0.25), BOX).crops)
-    again = InputMaker(LAG)
-    for number in range(3):  # one that is older than what was seen changes nothing
-        again.make(frame(number, 0.1 * number), NOTHING)
-    plain = again.make(frame(4, 0.3), BOX)
-    other = InputMaker(LAG)
+
+
+@pytest.mark.parametrize(("earlier_s", "is_taken"), [(0.05, True), (0.22, False)])
+def test_of_all_earlier_images_that_nearest_to_the_lag_is_taken(earlier_s: float, is_taken: bool) -> None:
+    """Whatever else of a drive is labelled, a labelled image is seen beside the same earlier one."""
+    maker, lone = InputMaker(LAG), InputMaker(LAG)
     for number in range(3):
-        other.make(frame(number, 0.1 * number), NOTHING)
-    found = other.make(Frame(image(4), 300_000_000, earlier=frame(9, 0.05)), BOX)
-    np.testing.assert_array_equal(found.crops, plain.crops)
+        maker.make(frame(number, 0.1 * number), NOTHING)
+    found = maker.make(Frame(image(4), 300_000_000, earlier=frame(9, earlier_s)), BOX)
+    lone.make(frame(9, earlier_s) if is_taken else frame(0, 0.0), NOTHING)
+    np.testing.assert_array_equal(found.crops, lone.make(frame(4, 0.3), BOX).crops)
 
 
 def test_frames_without_proposals_are_remembered() -> None:

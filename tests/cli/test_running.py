@@ -10,6 +10,8 @@ import shutil
 from pathlib import Path
 
 import av
+import cv2
+import numpy as np
 import pytest
 
 import foreglow
@@ -24,6 +26,7 @@ from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_
 from tests.datasets.bags.bags import images, make_mcap
 from tests.datasets.video.test_video_file import make_video
 from tests.shared_data import shared_file
+from tests.stand_ins import night_image
 
 
 def test_run_on_a_folder(tmp_path: Path, folder: Path, config: Path) -> None:
@@ -342,6 +345,23 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
     assert "the model has seen simulated drives only" in line
     made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
     assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"
+
+
+@pytest.mark.parametrize(
+    ("factor", "white_level", "is_told"), [(16, None, True), (16, 4080, False), (257, None, False)]
+)
+def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
+    factor: int, white_level: int | None, is_told: bool, tmp_path: Path, config: Path
+) -> None:
+    images = tmp_path / "images"
+    images.mkdir()
+    for number in range(3):
+        cv2.imwrite(str(images / f"{number:06d}.png"), night_image(number).astype(np.uint16) * np.uint16(factor))
+    if white_level is not None:
+        config.write_text(f"{config.read_text()}\n[guard]\nwhite_level = {white_level}\n")
+    ran = foreglow_command("run", images, "--out", tmp_path / "out", "--config", config)
+    assert ran.exit_code == 0
+    assert ("images of 16 bits, none brighter than" in ran.stdout) is is_told
 
 
 def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Path) -> None:

@@ -39,6 +39,9 @@ LOWEST_LAMP_RAD = math.radians(-5.0)
 """Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road, unless it
 was a lamp before: that passes us."""
 
+LEAST_HALF_RAD = math.radians(0.01)
+"""Half the width of a gap at least."""
+
 UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
 
@@ -115,7 +118,8 @@ class PaperPolicy(BeamPolicy):
             return []
         brightest = max(plausible.tolist(), key=lambda index: brightness(frame.image, tracks.boxes_xyxy_px[index]))
         bearing = self._bearings.update(frame, tracks)[int(tracks.ids[brightest])]
-        return [_around(bearing, bearing.half_width_rad + self._margin_rad)]
+        half_rad = max(bearing.half_width_rad + self._margin_rad, LEAST_HALF_RAD)  # none wide beside the image
+        return [_around(bearing, half_rad)]
 
 
 class ForeglowPolicy(BeamPolicy):

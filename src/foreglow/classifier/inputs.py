@@ -139,9 +139,6 @@ class InputMaker:
 
     def make_parts(self, frame: Frame, proposals: Proposals, size: int) -> Iterator[ClassifierInputs]:
         """Like `make`, for `size` boxes at a time, which bounds the memory; one part if there are none."""
-        if frame.earlier is not None and (not self._earlier or frame.earlier.timestamp_ns > self._earlier[-1][0]):
-            self._seen_before(frame.earlier)  # forgets what does not go with it
-            self._remember(frame.earlier)
         earlier = self._seen_before(frame)
         self._remember(frame)
         image, boxes = _with_adjacent_columns(frame.image), np.ascontiguousarray(proposals.boxes_xyxy_px)
@@ -172,7 +169,11 @@ class InputMaker:
             self._earlier.clear()
         lag_ns = self.spec.lag_s * 1e9
         self._earlier = [kept for kept in self._earlier if frame.timestamp_ns - kept[0] <= _EARLIEST * lag_ns]
-        usable = [kept for kept in self._earlier if frame.timestamp_ns - kept[0] >= _LATEST * lag_ns]
+        kept_with_it = [] if frame.earlier is None else [(frame.earlier.timestamp_ns, frame.earlier.image)]
+        ages_ns = (_LATEST * lag_ns, _EARLIEST * lag_ns)
+        usable = [
+            kept for kept in [*kept_with_it, *self._earlier] if ages_ns[0] <= frame.timestamp_ns - kept[0] <= ages_ns[1]
+        ]
         if not usable:
             return None
         return min(usable, key=lambda kept: abs(frame.timestamp_ns - kept[0] - lag_ns))[1]

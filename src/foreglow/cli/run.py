@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from foreglow.cli.app import app
 from foreglow.cli.shared_calibration import calibrated
 from foreglow.cli.shared_run import (
+    bits_notes,
     expectation,
     finish,
     folder_beside,
@@ -87,7 +88,7 @@ def run(
         looks = look_sink(frames, None)
         summary = run_in_parallel(opening, str(source), out, configuration, workers, looks)
         notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
-        finish(summary, out, *notes, expectation(looks.profile, configuration))
+        finish(summary, out, *notes, *bits_notes(looks, configuration), expectation(looks.profile, configuration))
         return
     frames = opening()
     looks = look_sink(frames, reading.limit)
@@ -102,7 +103,7 @@ def run(
     stepper = Pipeline(configuration)
     summary = run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit)
     notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
-    finish(summary, out, *notes, expectation(looks.profile, configuration))
+    finish(summary, out, *notes, *bits_notes(looks, configuration), expectation(looks.profile, configuration))
 
 
 @app.command()

@@ -160,6 +160,19 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
 
 
+def bits_notes(looks: LookSink, configuration: PipelineConfig) -> list[str]:
+    """What to say of images of 16 bits that seem to be a camera's of fewer bits."""
+    from foreglow.beam.camera_watch import MOST_OF_12_BITS
+
+    brightest = looks.brightest
+    if brightest is None or brightest > MOST_OF_12_BITS or configuration.guard.white_level is not None:
+        return []
+    return [
+        f"images of 16 bits, none brighter than {brightest}: where white is 1023 or 4095, light is missed unless the "
+        "configuration says so ([guard] white_level)"
+    ]
+
+
 def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:
     """A progress bar; it is shown on a terminal only."""
     from foreglow.display.progress import ProgressSink

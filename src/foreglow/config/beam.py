@@ -104,7 +104,8 @@ class GuardConfig(FrozenModel):
         max_same_images: Largest number of images in a row with the same content; one more is a frozen camera.
         max_saturated: Largest share of pixels at `white_level`.
         min_bright: An image is black if no pixel is brighter than this share of `white_level`.
-        white_level: Largest pixel value; None for that of the image's type, 255 or 65,535.
+        white_level: Largest pixel value, for all stages of the pipeline; None for that of the image's type, 255 or
+            65,535.
         led_limits_cd: Ranges from which limits hold (m, the first 0), and the limits: the largest intensity of one
             lamp's LEDs towards a vehicle (cd). From 50 m on these are what UN R123 allows a lamp towards oncoming
             drivers at 50, 100 and 200 m, less the 350 cd that UN R112 allows its low beam. Nearer, it is what 3.1 lx

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ def make_video(
     num_frames: int = NUM_FRAMES,
     rate_hz: int = 25,
     pixel_aspect: Fraction | None = None,
+    times: Sequence[int] | None = None,
 ) -> Path:
     """A grey ramp that brightens by 8 levels a frame, 96x72; the header lies at the front of an MP4."""
     options = {"movflags": "faststart"} if path.suffix == ".mp4" else {}
@@ -35,11 +37,11 @@ def make_video(
         stream.bit_rate = 2_000_000
         if pixel_aspect is not None:
             stream.codec_context.sample_aspect_ratio = pixel_aspect
-        for index in range(num_frames):
+        for index in range(num_frames if times is None else len(times)):
             image = np.full((72, 96, 3), 8 * index, np.uint8)
             image[:, :48] += 16
             picture = av.VideoFrame.from_ndarray(image, format="rgb24")
-            picture.pts = index
+            picture.pts = index if times is None else times[index]
             picture.time_base = Fraction(1, rate_hz)
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))

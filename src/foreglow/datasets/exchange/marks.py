@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 import re
 import unicodedata
@@ -149,32 +151,41 @@ def _mark(kind: Kind, instance: Instance, oid: int | None) -> Mark:
     return Mark(kind, instance.position_px, oid, instance.iid, instance.is_direct, instance.is_rear)
 
 
-def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
-    """The vehicles that the points of an image mark.
+def numbered(images: Sequence[ImageLabels]) -> list[ImageLabels]:
+    """`images` with numbers for all vehicles and lights: each that has none is another one than all others."""
+    marks = [mark for image in images for mark in image.marks]
+    oids = itertools.count(1 + max((mark.oid for mark in marks if mark.oid is not None), default=-1))
+    iids = itertools.count(1 + max((mark.iid for mark in marks if mark.iid is not None), default=-1))
 
-    A light without the number of a vehicle has a vehicle of its own; a vehicle without a point lies amid its lights.
+    def told_apart(mark: Mark) -> Mark:
+        oid = next(oids) if mark.oid is None and mark.kind != Kind.DOUBTFUL else mark.oid
+        iid = next(iids) if mark.iid is None and mark.kind == Kind.LIGHT else mark.iid
+        return dataclasses.replace(mark, oid=oid, iid=iid)
+
+    return [dataclasses.replace(image, marks=tuple(map(told_apart, image.marks))) for image in images]
+
+
+def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
+    """The vehicles that the points of an image mark, which are `numbered`.
+
+    A vehicle without a point lies amid its lights.
 
     Raises:
         ValueError: If a vehicle has several points; the message begins with `origin`.
     """
     marks = [mark for mark in marks if mark.kind != Kind.DOUBTFUL]
-    free_oid = 1 + max((mark.oid for mark in marks if mark.oid is not None), default=-1)
-    free_iid = 1 + max((mark.iid for mark in marks if mark.iid is not None), default=-1)
     points: dict[int, Mark] = {}
     lights: dict[int, list[Instance]] = {}
     for mark in marks:
-        oid = mark.oid
-        if oid is None:
-            oid, free_oid = free_oid, free_oid + 1
+        oid, iid = mark.oid, mark.iid
+        assert oid is not None
         instances = lights.setdefault(oid, [])
         if mark.kind == Kind.VEHICLE:
             if oid in points:
                 raise ValueError(f"{origin}: vehicle {oid}: expected one point, got several")
             points[oid] = mark
             continue
-        iid = mark.iid
-        if iid is None:
-            iid, free_iid = free_iid, free_iid + 1
+        assert iid is not None
         instances.append(_instance(mark, iid))
     return tuple(
         Vehicle(

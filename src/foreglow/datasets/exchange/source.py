@@ -6,11 +6,19 @@ import dataclasses
 import functools
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
-from foreglow.datasets.exchange.marks import EARLIER_IMAGE, ImageLabels, LabelSet, check_near, doubtful_of, vehicles_of
+from foreglow.datasets.exchange.marks import (
+    EARLIER_IMAGE,
+    ImageLabels,
+    LabelSet,
+    check_near,
+    doubtful_of,
+    numbered,
+    vehicles_of,
+)
 from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in
 from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
@@ -27,6 +35,9 @@ PLACES = (".", "images", "../images")
 
 EARLIER_S = 0.25
 """The moment of the past that our recipe shows a classifier."""
+
+EARLIER_STEP_S = 0.015
+"""Frames that come nearer to each other than this are not all kept until one from then is wanted."""
 
 
 class LabelFile(LabelledSource):
@@ -61,7 +72,7 @@ class LabelFile(LabelledSource):
         self.labels: LabelSet = read_labels_file(self.path)
         self.folder, self._video = self._images_at(None if images is None else Path(images))
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
-        named = self._named()
+        named = numbered(self._named())
         self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
         self._labelled = frozenset(self.folder / image.name for image in named)
         self._sequences = _sequences(self._images, self.path)
@@ -105,16 +116,19 @@ class LabelFile(LabelledSource):
             yield from ((frame, None) for frame in self)
             return
         wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
-        lag = max(1, round(EARLIER_S * self.rate_hz))
-        earlier_numbers = {number - lag for number in wanted} - set(wanted)
-        earlier: dict[int, Frame] = {}
+        selected = frozenset(wanted)
+        recent: list[Frame] = []
         for frame in self._video:
-            if frame.frame in earlier_numbers:
-                earlier[frame.frame + lag] = frame
+            earliest_ns = frame.timestamp_ns - round(2e9 * EARLIER_S)
+            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns]
             if frame.frame in wanted:
-                yield self._checked(frame, wanted.pop(frame.frame)), earlier.pop(frame.frame, None)
+                earlier = _earlier(recent, frame.timestamp_ns)
+                is_known = earlier is None or earlier.frame in selected
+                yield self._checked(frame, wanted.pop(frame.frame)), None if is_known else earlier
             if not wanted:
                 return
+            if not recent or frame.timestamp_ns - recent[-1].timestamp_ns >= EARLIER_STEP_S * 1e9:
+                recent.append(frame)
         if wanted:
             raise ValueError(
                 f"{self._video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before"
@@ -265,6 +279,12 @@ class LabelFile(LabelledSource):
                 " (earlier images beside others are no frames)"
             )
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
+
+
+def _earlier(frames: Iterable[Frame], now_ns: int) -> Frame | None:
+    """The frame whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
+    aged = {now_ns - frame.timestamp_ns: frame for frame in frames if now_ns - frame.timestamp_ns >= 5e8 * EARLIER_S}
+    return aged[min(aged, key=lambda age_ns: abs(age_ns - 1e9 * EARLIER_S))] if aged else None
 
 
 def _frame_number(name: str) -> int:

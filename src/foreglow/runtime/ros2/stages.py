@@ -27,6 +27,7 @@ from foreglow.runtime.ros2.results import (
 )
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import Detections, Frame, FrameResult, Proposals, Ranges, Tracks
+from foreglow.white import full_scale
 
 Stage = TypeVar("Stage")
 
@@ -71,11 +72,12 @@ MOTION = (topics.TWIST, topics.ATTITUDE)
 """What is read as one `EgoMotion`, in which a car that cannot move so is known by all of its parts."""
 
 
-def read_pixels(joined: Joined) -> Frame:
-    """The frame with its image, and our motion if that is among the messages: the first two stages need no more."""
+def read_pixels(joined: Joined, white_level: int | None) -> Frame:
+    """The frame with its image at full scale, and our motion if that is there: the first two stages need no more."""
     image, header = read_image(joined.messages[topics.IMAGE], topics.IMAGE), joined.header
     motion = motion_of(joined.messages)
-    return Frame(image, header.timestamp_ns, sequence=header.sequence, path=topics.IMAGE, motion=motion)
+    frame = Frame(image, header.timestamp_ns, sequence=header.sequence, path=topics.IMAGE, motion=motion)
+    return full_scale(frame, white_level)
 
 
 class ProposalNode(FrameNode[Frame]):
@@ -84,6 +86,7 @@ class ProposalNode(FrameNode[Frame]):
     def __init__(self, setting: Setting) -> None:
         stages = Stages(setting.config)
         self._proposer, self._standing = stages.proposer, stages.standing
+        self._white_level = setting.config.guard.white_level
         sampled = () if self._standing is None else MOTION
         arguments, patience_s = setting.ros_arguments, setting.patience_s
         super().__init__("proposals", (topics.IMAGE,), sampled, ros_arguments=arguments, patience_s=patience_s)
@@ -96,7 +99,7 @@ class ProposalNode(FrameNode[Frame]):
 
     def read(self, joined: Joined) -> Frame:
         """The image, and our motion where the second step needs it."""
-        return read_pixels(joined)
+        return read_pixels(joined, self._white_level)
 
     def step(self, header: Header, inputs: Frame, stopwatch: Stopwatch) -> None:
         """Publishes the boxes of an image."""
@@ -115,6 +118,7 @@ class ClassifierNode(FrameNode[tuple[Frame, Proposals]]):
     def __init__(self, setting: Setting) -> None:
         super().__init__("classifier", (topics.PROPOSALS, topics.IMAGE), ros_arguments=setting.ros_arguments)
         self._classifier = needed("classifier.model", Stages(setting.config).classifier)
+        self._white_level = setting.config.guard.white_level
         self._output = self.publisher(topics.DETECTIONS)
 
     def reset(self) -> None:
@@ -123,7 +127,8 @@ class ClassifierNode(FrameNode[tuple[Frame, Proposals]]):
 
     def read(self, joined: Joined) -> tuple[Frame, Proposals]:
         """The image and its boxes."""
-        return read_pixels(joined), read_proposals(joined.messages[topics.PROPOSALS], topics.PROPOSALS)[1]
+        frame = read_pixels(joined, self._white_level)
+        return frame, read_proposals(joined.messages[topics.PROPOSALS], topics.PROPOSALS)[1]
 
     def step(self, header: Header, inputs: tuple[Frame, Proposals], stopwatch: Stopwatch) -> None:
         """Publishes the scored boxes of an image."""
@@ -147,6 +152,7 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
         )
         self._threshold = setting.config.classifier.score_threshold
         self._estimator = Stages(setting.config).estimator
+        self._white_level = setting.config.guard.white_level
         self._reader = FrameReader(setting.calibration)
         self._output = self.publisher(topics.RANGES)
 
@@ -158,7 +164,8 @@ class DistanceNode(FrameNode[tuple[Frame, Detections]]):
     def read(self, joined: Joined) -> tuple[Frame, Detections]:
         """The frame and its boxes."""
         message = joined.messages[topics.DETECTIONS]
-        return self._reader.read(joined), read_detections(message, topics.DETECTIONS, self._threshold)[1]
+        frame = full_scale(self._reader.read(joined), self._white_level)
+        return frame, read_detections(message, topics.DETECTIONS, self._threshold)[1]
 
     def step(self, header: Header, inputs: tuple[Frame, Detections], stopwatch: Stopwatch) -> None:
         """Publishes the ranges of a frame's boxes."""

@@ -92,22 +92,31 @@ class LookSink:
         self._step = STEP if num_frames is None else max(1, num_frames // NUM_IMAGES)
         self._num_frames: Counter[str] = Counter()  # by sequence
         self._looks: list[Look] = []
+        self._brightest: list[int] = []  # of images of 16 bits
 
     def write(self, frame: Frame, result: FrameResult) -> None:  # noqa: ARG002
         """Looks at every so manieth frame."""
         place, is_over = divmod(self._num_frames[frame.sequence], self._step)
         if not is_over and place < NUM_IMAGES:
             self._looks.append(look_of(frame.image))
+            if frame.image.dtype == np.uint16:
+                self._brightest.append(int(frame.image.max()))
         self._num_frames[frame.sequence] += 1
 
     def add(self, other: LookSink) -> None:
         """Takes over what another one has seen of later sequences."""
         self._looks += other._looks
+        self._brightest += other._brightest
 
     def close(self) -> None:
         """Nothing is left to do."""
 
     discard = close
+
+    @property
+    def brightest(self) -> int | None:
+        """The greatest value of the images of 16 bits that were looked at; None if there were none."""
+        return max(self._brightest, default=None)
 
     @property
     def profile(self) -> str | None:
