@@ -12,7 +12,7 @@ from foreglow.config import GuardConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
 from foreglow.pipeline import Pipeline
 from foreglow.types import Frame
-from foreglow.white import full_scale
+from foreglow.types.white import full_scale
 
 
 @pytest.mark.parametrize("white", [1020, 4080])

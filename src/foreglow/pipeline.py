@@ -15,7 +15,7 @@ from foreglow.config import PipelineConfig, preset
 from foreglow.plugins import METHODS, built, check_methods, checked, name_of, staying
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
-from foreglow.white import full_scale
+from foreglow.types.white import full_scale
 from foreglow.wording import shortened
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from foreglow.runtime.ros2.results import (
 )
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import Detections, Frame, FrameResult, Proposals, Ranges, Tracks
-from foreglow.white import full_scale
+from foreglow.types.white import full_scale
 
 Stage = TypeVar("Stage")
 

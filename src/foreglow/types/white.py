@@ -7,7 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from foreglow.types import Frame, Image
+from foreglow.types.arrays import Image
+from foreglow.types.frame import Frame
 
 
 def full_scale(frame: Frame, white_level: int | None) -> Frame:
