@@ -15,6 +15,7 @@ from foreglow.config import read_config
 from foreglow.datasets import PVDN
 from foreglow.datasets.simulated import read_truth
 from foreglow.lab.simulation.writing.dataset import simulate_dataset
+from foreglow.runs.summary_file import read_summary
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.lab.simulation.stub_drive import drive, scene
 
@@ -38,6 +39,9 @@ def test_without_a_source_it_runs_on_the_shipped_drive(tmp_path: Path, monkeypat
     assert conclusion == "=> not detected"
     assert "the paper's scene" in paper
     assert "moments.png" in result.stdout
+    summary = read_summary(tmp_path / "out" / "summary.json")
+    assert Path(summary.source) == root, "by which `beam` finds the frames again"
+    assert summary.source_digest is not None
     assert cv2.imread(str(tmp_path / "out" / "moments.png")) is not None
     assert (tmp_path / "out" / "overlay.mp4").is_file()
 

@@ -31,7 +31,8 @@ def demo(
     from foreglow.photometry import read_headlamps
     from foreglow.pipeline import Pipeline
 
-    frames = open_frames(shipped_drive() if source is None else source, SourceOptions(), VehicleOptions())
+    source = shipped_drive() if source is None else source
+    frames = open_frames(source, SourceOptions(), VehicleOptions())
     configuration = PipelineOptions(model=model).configuration()
     first = next(iter(frames), None)
     has_beam = first is not None and first.camera is not None and first.motion is not None
@@ -42,8 +43,7 @@ def demo(
         sinks = [picture_sink(frames, results, "overlay")]
         return [*sinks, beam_sink(frames, results, read_headlamps())] if has_beam else sinks
 
-    name = frames.name if source is None else str(source)
-    summary = run_frames(frames, name, out, Pipeline(configuration), make_sinks=make_sinks)
+    summary = run_frames(frames, str(source), out, Pipeline(configuration), make_sinks=make_sinks)
     stories = _stories(frames, out, configuration, has_beam=has_beam) if summary.is_complete else ()
     finish(summary, out, *source_notes(frames))
     _print_stories(stories, is_classified=summary.is_classified)
