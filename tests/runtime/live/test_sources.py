@@ -25,7 +25,7 @@ from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.datasets.vehicle_logs import CanLog, VehicleFiles
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
-from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
+from foreglow.runtime.live import ClosedLoop, LiveEndedError, LiveFault, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_camera, open_live
 from foreglow.types import BeamMode, Frame
@@ -128,6 +128,17 @@ def test_a_recorded_replay_begins_with_its_first_frame(speed: float, drive: list
         messages = list(mcap_reader.make_reader(file).iter_messages())
     assert "/health" in {channel.topic for _, channel, _ in messages}
     assert min(message.log_time for _, _, message in messages) >= frames[0].timestamp_ns
+
+
+@pytest.mark.parametrize("thing", ["hello", None])
+def test_a_source_that_yields_no_frames_ends_with_a_line(thing: Any, drive: list[Frame]) -> None:
+    class Foreign(Paced):
+        def __iter__(self) -> Iterator[Frame]:
+            yield from drive[:3]
+            yield thing
+
+    with pytest.raises(LiveEndedError, match=rf"expected a Frame, got {type(thing).__name__}$"):
+        run_live(Foreign(ListSource(drive), math.inf), live_config())
 
 
 def test_overload_drops_frames_and_stays_in_time(drive: list[Frame]) -> None:

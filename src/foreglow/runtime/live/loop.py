@@ -250,6 +250,8 @@ class LiveLoop:
                 for frame in self._source:
                     if self._is_stopped.is_set():
                         return
+                    if not isinstance(frame, Frame):
+                        raise ValueError(f"{self._source.name}: expected a Frame, got {type(frame).__name__}")
                     if not self._mailbox.num_put:
                         self._check_fit(frame)
                     if self._watch.arrived(frame):
