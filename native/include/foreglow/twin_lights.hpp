@@ -8,7 +8,8 @@
 namespace foreglow {
 
 // Writes two numbers a box to `columns_px`: the columns of the left and of the right light of its pair, pixels of the
-// image; NaN where there aren't exactly two lights side by side, alike in brightness, with a darker place in between.
+// image; NaN where there aren't exactly two lights side by side, alike in brightness, width and height, with a darker
+// place in between.
 // Boxes that are narrower than 5 pixels, or larger than 256 in width or height, have none.
 void twin_lights(const ImageView& image, const Box* boxes, std::size_t num_boxes, double* columns_px);
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import foreglow._native as _native
 from foreglow.types import Image
+from foreglow.types.arrays import with_adjacent_columns
 
 GRID_PX = 16
 """Video encoders code squares of this size (H.264's macroblock; H.265's and MJPEG's units are multiples or halves)."""
@@ -90,8 +91,7 @@ class ImageComparer:
 
         `top` is the greatest value that a pixel may have.
         """
-        adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
-        change = self._comparer.compare(adjacent, top)
+        change = self._comparer.compare(with_adjacent_columns(image), top)
         if change is None:
             return None
         num_new = change.num_edges - change.num_other_edges

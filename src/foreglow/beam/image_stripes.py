@@ -12,6 +12,7 @@ import numpy as np
 import foreglow._native as _native
 from foreglow.geometry import Floats
 from foreglow.types import Image
+from foreglow.types.arrays import with_adjacent_columns
 
 
 class ImageStripes:
@@ -37,5 +38,5 @@ class ImageStripes:
             changes and the other does not. The last: how much neighbours differ over how much the next but one do, near
             1 for noise, and less for all that a lens shows.
         """
-        found = self._stripes.update(image if image.strides[1] == image.itemsize else image.copy(order="C"), top)
+        found = self._stripes.update(with_adjacent_columns(image), top)
         return None if found is None else np.array(found)

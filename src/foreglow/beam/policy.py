@@ -40,7 +40,7 @@ LOWEST_LAMP_RAD = math.radians(-5.0)
 was a lamp before: that passes us."""
 
 LEAST_HALF_RAD = math.radians(0.01)
-"""Half the width of a gap at least."""
+"""Half the width of a gap at least: a box wholly beside the image has none."""
 
 UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
@@ -118,7 +118,7 @@ class PaperPolicy(BeamPolicy):
             return []
         brightest = max(plausible.tolist(), key=lambda index: brightness(frame.image, tracks.boxes_xyxy_px[index]))
         bearing = self._bearings.update(frame, tracks)[int(tracks.ids[brightest])]
-        half_rad = max(bearing.half_width_rad + self._margin_rad, LEAST_HALF_RAD)  # none wide beside the image
+        half_rad = max(bearing.half_width_rad + self._margin_rad, LEAST_HALF_RAD)
         return [_around(bearing, half_rad)]
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import foreglow._native as _native
 from foreglow.types import Frame, Image, Proposals
+from foreglow.types.arrays import with_adjacent_columns
 
 FEATURES = (
     "darkest",
@@ -141,7 +142,7 @@ class InputMaker:
         """Like `make`, for `size` boxes at a time, which bounds the memory; one part if there are none."""
         earlier = self._seen_before(frame)
         self._remember(frame)
-        image, boxes = _with_adjacent_columns(frame.image), np.ascontiguousarray(proposals.boxes_xyxy_px)
+        image, boxes = with_adjacent_columns(frame.image), np.ascontiguousarray(proposals.boxes_xyxy_px)
         starts = range(0, max(1, len(boxes)), size)
         return (self._inputs(image, earlier, boxes[start : start + size]) for start in starts)
 
@@ -186,11 +187,6 @@ class InputMaker:
         if not self._earlier or frame.timestamp_ns - self._earlier[-1][0] >= spacing_ns:
             kept: Image = frame.image.copy(order="C")
             self._earlier.append((frame.timestamp_ns, kept))
-
-
-def _with_adjacent_columns(image: Image) -> Image:
-    adjacent: Image = image if image.strides[1] == image.itemsize else image.copy(order="C")
-    return adjacent
 
 
 def _is_alike(frame: Frame, image: Image) -> bool:

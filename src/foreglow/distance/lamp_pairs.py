@@ -8,6 +8,7 @@ from __future__ import annotations
 import foreglow._native as _native
 from foreglow.geometry import Floats
 from foreglow.types import Boxes, Image
+from foreglow.types.arrays import with_adjacent_columns
 
 SPACING_M = 1.3
 SPACING_LOG_SIGMA = 0.1
@@ -43,5 +44,4 @@ def twin_columns_px(image: Image, boxes_xyxy_px: Boxes) -> Floats:
         image: The frame's pixels.
         boxes_xyxy_px: Shape (N, 4).
     """
-    adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
-    return _native.twin_lights(adjacent, boxes_xyxy_px)
+    return _native.twin_lights(with_adjacent_columns(image), boxes_xyxy_px)

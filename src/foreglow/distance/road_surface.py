@@ -27,6 +27,7 @@ from foreglow.distance.weighing import Weigher
 from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster, calibrated
 from foreglow.types import Boxes, Detections, Frame, Image, Ranges
+from foreglow.types.arrays import with_adjacent_columns
 
 CONTRAST_FLOOR = 5.0
 """Grey levels of 255 that are added to a contrast before its logarithm."""
@@ -47,8 +48,7 @@ def light_of_boxes(image: Image, boxes_xyxy_px: Boxes) -> tuple[Floats, Floats]:
         the surroundings; the centre of a box without light. And contrasts, shape (N,): the brightest pixel over the
         surroundings in grey levels of 255, plus `CONTRAST_FLOOR`.
     """
-    adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
-    pixels, peaks = _native.light_of_boxes(adjacent, boxes_xyxy_px)
+    pixels, peaks = _native.light_of_boxes(with_adjacent_columns(image), boxes_xyxy_px)
     return pixels, 255.0 * peaks + CONTRAST_FLOOR
 
 

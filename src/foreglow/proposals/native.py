@@ -5,6 +5,7 @@ from __future__ import annotations
 import foreglow._native as _native
 from foreglow.config import ProposalConfig
 from foreglow.types import Image, Proposals
+from foreglow.types.arrays import with_adjacent_columns
 
 
 class NativeProposer:
@@ -34,5 +35,4 @@ class NativeProposer:
         Raises:
             ValueError: If the configured region lies outside the image.
         """
-        adjacent = image if image.strides[1] == image.itemsize else image.copy(order="C")
-        return Proposals(self._generator.propose(adjacent))
+        return Proposals(self._generator.propose(with_adjacent_columns(image)))

@@ -19,6 +19,12 @@ Boxes: TypeAlias = NDArray[np.int32]
 """Boxes, shape (N, 4), int32, columns x1, y1, x2, y2 in full-frame pixels, half-open."""
 
 
+def with_adjacent_columns(image: Image) -> Image:
+    """`image` where the pixels of a row lie side by side, as the C++ core reads them; else a copy in which they do."""
+    adjacent: Image = image if image.strides[1] == image.itemsize else image.copy(order="C")
+    return adjacent
+
+
 class Value:
     """A dataclass whose copies, also those from pickle, are made by its constructor: as frozen and checked as it."""
 
