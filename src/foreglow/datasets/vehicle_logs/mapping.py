@@ -6,8 +6,10 @@ default may be left out. `street.toml` in this folder is the mapping of our own 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -21,7 +23,10 @@ class Section(FrozenModel):
 
     Attributes:
         message: Its name in the DBC.
+        SIGNS: Fields with signals of either sign, and the fields that may name a signal for the sign.
     """
+
+    SIGNS: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     message: str
 
@@ -39,6 +44,8 @@ class SlopeSignals(Section):
         slope_percent: Its slope.
         is_downhill: 1 where the slope is negative; None if it has a sign.
     """
+
+    SIGNS = MappingProxyType({"slope_percent": "is_downhill"})
 
     segment_id: str
     slope_percent: str
@@ -60,6 +67,10 @@ class SegmentSignals(Section):
         is_downhill: 1 where the slope is negative; None if it has a sign.
         is_probable: 1 where the segment is on the most probable path; other segments are ignored. None: all are on it.
     """
+
+    SIGNS = MappingProxyType(
+        {"start_curvature": "is_start_left", "end_curvature": "is_end_left", "slope_percent": "is_downhill"}
+    )
 
     segment_id: str
     parent_id: str
@@ -115,14 +126,16 @@ class CurvatureMeaning(FrozenModel):
         return self
 
     def per_m(self, value: float) -> float:
-        """The curvature, 1/m, that a signal's value means."""
+        """The curvature, 1/m, that a signal's value means; it keeps the value's sign."""
         if self.meaning == "per_m":
             return value
         if self.meaning == "radius_m":
             return 1.0 / value if value else 0.0
-        if value >= self.straight_code:
+        code = abs(value)
+        if code >= self.straight_code:
             return 0.0
-        return float((self.max_radius_m / self.min_radius_m) ** (-value / (self.straight_code - 1)) / self.min_radius_m)
+        ratio = self.max_radius_m / self.min_radius_m
+        return math.copysign(ratio ** (-code / (self.straight_code - 1)) / self.min_radius_m, value)
 
 
 class NumberSignal(Section):
@@ -132,7 +145,7 @@ class NumberSignal(Section):
         signal: Name of its signal.
         factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees. None: that of the DBC's
             unit.
-        is_negative: 1 where the number is negative; None if it has a sign.
+        is_negative: 1 where the signal is negative; None if it has a sign.
     """
 
     signal: str
@@ -146,6 +159,12 @@ class NumberSignal(Section):
         if self.is_negative == self.signal:
             raise ValueError(f"is_negative: expected another signal than {self.signal!r}, whose number it gives a sign")
         return self
+
+
+class SignedNumber(NumberSignal):
+    """A number of either sign."""
+
+    SIGNS = MappingProxyType({"signal": "is_negative"})
 
 
 class CanMapping(FrozenModel):
@@ -168,7 +187,7 @@ class CanMapping(FrozenModel):
     slope: SlopeSignals | None = None
     curvature: CurvatureMeaning = CurvatureMeaning()
     speed: NumberSignal | None = None
-    yaw_rate: NumberSignal | None = None
+    yaw_rate: SignedNumber | None = None
     production: NumberSignal | None = None
     bus: Annotated[str, Field(min_length=1)] | None = None
 
