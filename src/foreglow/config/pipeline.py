@@ -162,5 +162,6 @@ def _written(value: Any) -> Any:
 
 
 def _located(path: Path) -> str:
-    """The absolute path of a file; anything else, such as the name of a model that ships, as it is."""
-    return str(path.absolute() if path.is_file() else path)
+    """The absolute path of a file; anything else as it is, and a preset's model, whose name is no file's anywhere."""
+    is_name = any(path == each.classifier.model for each in PRESETS.values())
+    return str(path.absolute() if path.is_file() and not is_name else path)
