@@ -53,6 +53,11 @@ class PipelineConfig(FrozenModel):
         """
         return self.model_copy(update={section: getattr(self, section).model_copy(update=fields)})
 
+    @property
+    def commands(self) -> bool:
+        """Whether a pipeline of it commands a beam: that takes tracks, so a model, and a policy."""
+        return self.classifier.model is not None and "none" not in (self.tracker.method, self.beam.policy)
+
     def commanding(self, **beam: Any) -> PipelineConfig:
         """This configuration with beam commands, by the policy `foreglow` if it has none.
 
