@@ -221,3 +221,9 @@ def test_what_may_be_given_twice() -> None:
     """Flags, what a command takes several of, and what is meant for ROS 2."""
     for line in ("run nothing --video --video", "simulate --scene a.toml --scene b.toml --out x"):
         assert "expected once" not in complaint(*line.split())
+
+
+def test_a_limit_on_the_frames_before_one(folder: Path, tmp_path: Path) -> None:
+    """It had no effect: `--frame` alone says how many are read."""
+    line = complaint("stages", folder, "--frame", 2, "--limit", 1, "--out", tmp_path / "stages.png")
+    assert "--limit: expected none: the frames until --frame 2 are read" in line
