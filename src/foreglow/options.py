@@ -240,10 +240,17 @@ class CaptureOptions:
 class BeamOptions:
     """Headlamps."""
 
-    policy: Annotated[str | None, option("foreglow|paper|low|high|MODULE:NAME", "Beam policy (default: foreglow).")] = (
-        None
-    )
-    lamps: Annotated[Path | None, file("TOML that describes the headlamps (default: those that ship).")] = None
+    policy: Annotated[
+        str | None,
+        option(
+            "foreglow|paper|low|high|MODULE:NAME",
+            "Beam policy (default: that of the configuration, of a run its own, else foreglow).",
+        ),
+    ] = None
+    lamps: Annotated[
+        Path | None,
+        file("TOML that describes the headlamps (default: those of the configuration, else those that ship)."),
+    ] = None
 
     def commanding(self, configuration: PipelineConfig) -> PipelineConfig:
         """`configuration` with a beam, and with the policy and the headlamps given."""

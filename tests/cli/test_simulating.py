@@ -256,7 +256,7 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "nowhere.toml"), "nowhere.toml: no such"),
         (
             ("--out", "unused", "--camera", "phone", "--size", "640x480"),
-            "--camera phone: view.focal_px: expected up to",
+            "--camera phone: view.focal_px: expected up to 642.6 px, as a rendering of 640x480 px has",
         ),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "best"), "preset: expected one of"),

@@ -75,7 +75,12 @@ def live(
     limit: LimitOption = None,
     speed: Annotated[
         float,
-        option("X", "Replay X times as fast; 0 is as fast as possible, without dropping a frame.", min=0.0, max=1000.0),
+        option(
+            "X",
+            "Replay X times as fast, from 0.01 on; 0 is as fast as possible, without dropping a frame.",
+            min=0.0,
+            max=1000.0,
+        ),
     ] = 1.0,
     camera_delay: Annotated[
         float, option("S", "Time from the exposure until the frame arrives.", min=0.0, max=1.0)

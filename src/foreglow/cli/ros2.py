@@ -307,7 +307,8 @@ def _run_node(
         make = NODES[name]
     setting = Setting(config, camera, bus, output.deadline, node.patience, ros_arguments)
     with InterruptFlag() as interrupt:
-        make(setting).spin(_stop(lambda: interrupt.is_set, node.parent))
+        limit_s = config.live.max_step_s + config.live.abandon_s
+        make(setting).spin(_stop(lambda: interrupt.is_set, node.parent), limit_s)
     _finish(interrupt)
 
 

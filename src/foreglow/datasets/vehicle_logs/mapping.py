@@ -138,13 +138,17 @@ class CurvatureMeaning(FrozenModel):
         return math.copysign(ratio ** (-code / (self.straight_code - 1)) / self.min_radius_m, value)
 
 
+MIN_FACTOR, MAX_FACTOR = 1e-9, 100.0
+"""In amount: units of speeds and yaw rates are at most some m/s and rad/s, raw codes tiny parts of them."""
+
+
 class NumberSignal(Section):
     """A single number.
 
     Attributes:
         signal: Name of its signal.
-        factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees. None: that of the DBC's
-            unit.
+        factor: From the signal's unit to ours: 0.277778 for km/h, 0.0174533 for degrees; in amount within `MIN_FACTOR`
+            and `MAX_FACTOR`. None: that of the DBC's unit.
         is_negative: 1 where the signal is negative; None if it has a sign.
     """
 
@@ -154,8 +158,8 @@ class NumberSignal(Section):
 
     @model_validator(mode="after")
     def _check(self) -> NumberSignal:
-        if self.factor == 0:
-            raise ValueError("factor: expected a number other than 0, which makes every value 0")
+        if self.factor is not None and not MIN_FACTOR <= abs(self.factor) <= MAX_FACTOR:
+            raise ValueError(f"factor: expected from {MIN_FACTOR:g} to {MAX_FACTOR:g} in amount, got {self.factor:g}")
         if self.is_negative == self.signal:
             raise ValueError(f"is_negative: expected another signal than {self.signal!r}, whose number it gives a sign")
         return self

@@ -151,13 +151,15 @@ class LiveLoop:
         Raises:
             LiveEndedError: If `MAX_HUNG` pipelines hang, none can be made for `rebuild_s`, no frame came for
                 `give_up_s`, or a source that is no camera cannot be read any further; it has the summary.
-            ValueError: If a source has frames, and none of them can be read, or the first one is too small for the
-                configured region.
+            ValueError: If the pipeline commands no beam; if a source has frames, and none of them can be read, or the
+                first one is too small for the configured region.
             Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
         """
         self._limit = limit
         try:
             pipeline = self._make_pipeline()
+            if not pipeline.config.commands:
+                raise ValueError("make_pipeline: expected one that commands a beam, as of `config.commanding()`")
         except BaseException:
             for sink in self._sinks:
                 sink.discard()
