@@ -34,7 +34,7 @@ def _scaled(image: Image, factor: float, zero: int = 0) -> Image:
     """How far `image` is from `zero`, `factor` times, rounded, and within the type."""
     import cv2
 
-    pixels, scalar = np.ascontiguousarray(image), cast("Any", factor)
+    pixels: Any = np.ascontiguousarray(image)
     if not zero:
-        return cast("Image", cv2.multiply(pixels, scalar))
+        return cast("Image", cv2.multiply(pixels, cast("Any", factor)))
     return cast("Image", cv2.addWeighted(pixels, factor, pixels, 0.0, zero * (1.0 - factor)))
