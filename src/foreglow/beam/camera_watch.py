@@ -23,8 +23,8 @@ BIT_DEPTHS = (8, 10, 12, 14, 16)
 """Depths of cameras; an image of uint16 has the least that holds the brightest pixel so far."""
 
 MOST_OF_FEW_BITS = (1 << 14) - 1
-"""Images of uint16 without brighter pixels may be of 10, 12 or 14 bits; then they are seen at the wrong scale, and light
-is missed. Images that fill their type are not so dark: of 250 of simulated drives, none."""
+"""Images of uint16 without brighter pixels may be of 10, 12 or 14 bits; then they are seen at the wrong scale, and
+light is missed. Images that fill their type are not so dark: of 250 of simulated drives, none."""
 
 EVERY_ROW = 17
 """One row of so many is cut into pieces: a prime number, for rows of both half images, or of each third or fourth."""

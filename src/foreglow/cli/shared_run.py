@@ -168,8 +168,8 @@ def bits_notes(looks: LookSink, configuration: PipelineConfig) -> list[str]:
     if brightest is None or brightest > MOST_OF_FEW_BITS or configuration.guard.white_level is not None:
         return []
     return [
-        f"images of 16 bits, none brighter than {brightest}: where white is 1023, 4095 or 16383, light is missed unless the "
-        "configuration says so ([guard] white_level)"
+        f"images of 16 bits, none brighter than {brightest}: where white is 1023, 4095 or 16383, light is missed "
+        "unless the configuration says so ([guard] white_level)"
     ]
 
 
