@@ -162,14 +162,14 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
 
 def bits_notes(looks: LookSink, configuration: PipelineConfig) -> list[str]:
     """What to say of images of 16 bits that seem to be a camera's of fewer bits."""
-    from foreglow.beam.camera_watch import MOST_OF_12_BITS
+    from foreglow.beam.camera_watch import MOST_OF_FEW_BITS
 
     brightest = looks.brightest
-    if brightest is None or brightest > MOST_OF_12_BITS or configuration.guard.white_level is not None:
+    if brightest is None or brightest > MOST_OF_FEW_BITS or configuration.guard.white_level is not None:
         return []
     return [
-        f"images of 16 bits, none brighter than {brightest}: where white is 1023 or 4095, light is missed unless the "
-        "configuration says so ([guard] white_level)"
+        f"images of 16 bits, none brighter than {brightest}: where white is 1023, 4095 or 16383, light is missed "
+        "unless the configuration says so ([guard] white_level)"
     ]
 
 

@@ -8,11 +8,13 @@ from typing import Any, cast
 import numpy as np
 
 from foreglow.types.arrays import Image
-from foreglow.types.frame import Frame
+from foreglow.types.frame import Frame, colourless
 
 
 def full_scale(frame: Frame, white_level: int | None) -> Frame:
     """`frame` with images in which white is the largest value of their type: models have learnt from such images.
+
+    So it is in its chroma.
 
     Args:
         frame: A frame.
@@ -22,11 +24,17 @@ def full_scale(frame: Frame, white_level: int | None) -> Frame:
     if white_level is None or white_level >= top:
         return frame
     earlier = None if frame.earlier is None else full_scale(frame.earlier, white_level)
-    return dataclasses.replace(frame, image=_scaled(frame.image, top / white_level), earlier=earlier)
+    factor, chroma = top / white_level, frame.red_chroma
+    if chroma is not None:
+        chroma = _scaled(chroma, factor, colourless(chroma))
+    return dataclasses.replace(frame, image=_scaled(frame.image, factor), earlier=earlier, red_chroma=chroma)
 
 
-def _scaled(image: Image, factor: float) -> Image:
+def _scaled(image: Image, factor: float, zero: int = 0) -> Image:
+    """How far `image` is from `zero`, `factor` times, rounded, and within the type."""
     import cv2
 
-    scalar: Any = factor
-    return cast("Image", cv2.multiply(np.ascontiguousarray(image), scalar))  # rounded, and at most the largest value
+    pixels: Any = np.ascontiguousarray(image)
+    if not zero:
+        return cast("Image", cv2.multiply(pixels, cast("Any", factor)))
+    return cast("Image", cv2.addWeighted(pixels, factor, pixels, 0.0, zero * (1.0 - factor)))
