@@ -18,6 +18,10 @@ from foreglow.config.fields import ONE_OF
 from foreglow.street import MAX_RADIUS_M, MIN_RADIUS_M, STRAIGHT_CODE
 
 
+MIN_FACTOR, MAX_FACTOR = 1e-9, 100.0
+"""In amount: units of speeds and yaw rates are at most some m/s and rad/s, raw codes tiny parts of them."""
+
+
 class Section(FrozenModel):
     """Fields that come in the same message.
 
@@ -136,10 +140,6 @@ class CurvatureMeaning(FrozenModel):
             return 0.0
         ratio = self.max_radius_m / self.min_radius_m
         return math.copysign(ratio ** (-code / (self.straight_code - 1)) / self.min_radius_m, value)
-
-
-MIN_FACTOR, MAX_FACTOR = 1e-9, 100.0
-"""In amount: units of speeds and yaw rates are at most some m/s and rad/s, raw codes tiny parts of them."""
 
 
 class NumberSignal(Section):
