@@ -141,6 +141,16 @@ def steps_with_gaps(numbers: Sequence[int]) -> list[int]:
     return steps if steps[-1] < 2 * len(numbers) else places
 
 
+def steps_in(folder: Path) -> dict[str, int]:
+    """By name, in natural order, how many steps after the first one each image of a folder was taken.
+
+    Raises:
+        ValueError: If the folder holds no image.
+    """
+    numbers = frame_numbers(folder)
+    return dict(zip(numbers, steps_with_gaps(list(numbers.values())), strict=True))
+
+
 class ImageFolder(FileSource):
     """One image, or the images directly inside a folder in natural order of their names.
 

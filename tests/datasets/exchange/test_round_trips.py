@@ -395,8 +395,8 @@ def test_the_earlier_image_of_a_frame_is_chosen_by_its_time(tmp_path: Path) -> N
     clip = make_video(tmp_path / "clip.mp4", times=[*range(12), *range(12, 36, 3)])
     images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72)) for number in (9, 15, 19))
     write_labels_file(tmp_path / "a.xml", LabelSet(images, is_video=True), "cvat")
-    pairs = list(LabelFile(tmp_path / "a.xml", clip).pairs())
-    ages_s = [(now.timestamp_ns - before.timestamp_ns) / 1e9 for now, before in pairs if before is not None]
+    frames = list(LabelFile(tmp_path / "a.xml", clip))
+    ages_s = [(each.timestamp_ns - each.earlier.timestamp_ns) / 1e9 for each in frames if each.earlier is not None]
     assert ages_s == pytest.approx([0.24, 0.24, 0.24])
 
 

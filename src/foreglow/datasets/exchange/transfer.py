@@ -255,13 +255,12 @@ def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins:
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
-            pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)
-            images = (_labelled(frame, dataset, earlier) for frame, earlier in pairs)
+            images = (_labelled(frame, dataset) for frame in part)
             num_images += len(writer.add_sequence(sequence.model_copy(update={"image_ids": ()}), images).image_ids)
     return num_images
 
 
-def _labelled(frame: Frame, dataset: LabelledSource, earlier: Frame | None) -> LabelledImage:
+def _labelled(frame: Frame, dataset: LabelledSource) -> LabelledImage:
     categories = tuple(each for each in dataset.categories(frame.frame) if each != ImageCategory.NONE)
     vehicles, doubtful = dataset.annotations(frame.frame), dataset.doubtful(frame.frame)
-    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=earlier)
+    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=frame.earlier)
