@@ -89,3 +89,14 @@ def test_labels_of_some_frames_of_a_video_are_as_far_apart_as_these(tmp_path: Pa
     assert [labels.time_s(number) for number in (2, 12, 22)] == pytest.approx([0.0, 0.4, 0.8])
     assert labels.mean_rate_hz == pytest.approx(2.5)
     assert [None if each.earlier is None else each.earlier.frame for each in labels] == [None, 6, 16]
+
+
+def test_in_a_pause_nobody_looks(tmp_path: Path) -> None:
+    """Minutes of drives are those of their images: what lies between two labelled stretches is none of them."""
+    folder_of(tmp_path / "drive", list(range(200)))
+    stretches = [*range(20), *range(180, 200)]
+    labels = open_labelled(labels_of(tmp_path / "a.xml", [f"drive/{number:06d}.png" for number in stretches]))
+    assert labels.time_s(180) == pytest.approx(10.0)
+    assert labels.mean_rate_hz == 18.0
+    few = open_labelled(labels_of(tmp_path / "b.xml", [f"drive/{number:06d}.png" for number in (0, 27, 54, 108)]))
+    assert few.mean_rate_hz == pytest.approx(3 / 6)  # steps of 1.5 and 3 s, but each is about as long as the others
