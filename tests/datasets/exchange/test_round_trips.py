@@ -375,7 +375,8 @@ def test_earlier_images_are_no_frames(tmp_path: Path) -> None:
     folder = next((tmp_path / "own/images").iterdir())
     assert [path.name for path in folder.glob("*_earlier.png")] == ["000010_earlier.png"]
     beside = "earlier image, without labels, beside a labelled one"
-    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1}
+    times = "sequence with attributes (weather, road, driver, times, ...)"
+    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1, times: 1}
     again = LabelFile(tmp_path / "b.xml", folder)
     assert again.lost == labels_of(again).lost == labels_of(again, {2, 10}).lost == {beside: 1}
     assert not labels_of(again, {2, 22}).lost

@@ -49,6 +49,8 @@ def test_labels_of_some_images_of_a_folder_have_the_times_of_a_run_on_it(tmp_pat
     write_split(labels, tmp_path / "own")
     own = PVDN(tmp_path / "own")
     assert [own.time_s(number) for number in chosen] == pytest.approx([0.0, 11 / 18, 16 / 18, 24 / 18], abs=1e-3)
+    times_ns = [frame.timestamp_ns for frame in own]
+    assert times_ns == pytest.approx([in_run[number] for number in chosen], abs=1e6), "as a log of the drive has them"
     kept = [own.read(number).earlier for number in chosen]
     assert [None if each is None else int(each.image[0, 0]) for each in kept] == [41, 52, None, 66]
 
