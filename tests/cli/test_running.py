@@ -395,3 +395,11 @@ def test_a_raw_stream_says_its_rate(tmp_path: Path, config: Path) -> None:
         assert result.exit_code == 0, result.output
         assert f"{path}: a raw stream has no times: taken for 50 frames a second" in result.stdout
         shutil.rmtree(tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_replay_of_images_says_which_rate_is_assumed_as_a_run_does(tmp_path: Path, folder: Path) -> None:
+    for command in (("run",), ("live", "--speed", 0)):
+        result = foreglow_command(*command, folder, "--out", tmp_path / command[0])
+        assert result.exit_code == 0, result.output
+        assert f"{folder}: images have no times: taken for 18 frames a second; " in result.stdout
