@@ -370,10 +370,11 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
     write_can_log(log, [], [(k * 10_000_000, EgoMotion(20.0, 0.0)) for k in range(50)])
     words = ("run", folder, "--preset", "paper", "--config", config, "--can-log", log)
     told = f"{log} says nothing of any frame: expected data of their times (--time-offset)"
-    for number, (offset_s, is_told) in enumerate([(0, False), (100, True)]):
+    few = f"{log}: our motion is known in 1 of 3 frames, and at most 0.5 s after a message: it begins later, ends "
+    for number, (offset_s, is_told, is_few) in enumerate([(0, False, False), (0.1, False, True), (100, True, False)]):
         result = foreglow_command(*words, "--out", tmp_path / f"{number}", "--time-offset", offset_s)
         assert result.exit_code == 0, result.output
-        assert (told in result.stdout) == is_told
+        assert ((told in result.stdout), (few in result.stdout)) == (is_told, is_few)
 
 
 def test_images_that_are_missing_are_told(tmp_path: Path, folder: Path, config: Path) -> None:
