@@ -116,7 +116,8 @@ def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
 
         lines.append(
             f"{vehicle.can_log}: our motion is known in {num_moving} of {summary.num_frames} frames, and at most "
-            f"{MOTION_STALE_S:g} s after a message: it begins later, ends earlier (--time-offset), or tells it less often"
+            f"{MOTION_STALE_S:g} s after a message: it begins later, ends earlier (--time-offset), or tells it less "
+            "often"
         )
     return lines
 
