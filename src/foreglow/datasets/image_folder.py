@@ -148,10 +148,15 @@ def steps_in(folder: Path) -> dict[str, int]:
     """By name, in natural order, how many steps after the first one each image of a folder was taken.
 
     Raises:
-        ValueError: If the folder holds no image.
+        ValueError: If the folder holds no image, or images that were chosen here and there, by their numbers.
     """
     numbers = frame_numbers(folder)
-    return dict(zip(numbers, steps_with_gaps(list(numbers.values())), strict=True))
+    steps = steps_with_gaps(list(numbers.values()))
+    first = next(iter(numbers.values()))
+    rises = [number - first for number in numbers.values()]
+    if any(rise * steps[-1] != step * rises[-1] for rise, step in zip(rises, steps, strict=True)):
+        raise ValueError(f"{folder}: expected numbers that rise by one step, but for missing images")
+    return dict(zip(numbers, steps, strict=True))
 
 
 class ImageFolder(FileSource):

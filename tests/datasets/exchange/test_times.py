@@ -84,6 +84,14 @@ def test_images_without_an_order_of_their_own_are_a_frame_apart(tmp_path: Path) 
     assert [labels.time_s(number) for number in range(4)] == pytest.approx([0.0, 1 / 18, 0.0, 3 / 18])
 
 
+def test_images_that_were_chosen_here_and_there_have_no_earlier_ones(tmp_path: Path) -> None:
+    """Nobody knows their times, and what comes before one in the folder may show another place."""
+    folder_of(tmp_path / "drive", [3, 57, 60, 61, 90, 120, 200])
+    labels = open_labelled(labels_of(tmp_path / "a.xml", ["drive/000120.png", "drive/000200.png"]))
+    assert [labels.time_s(number) for number in (120, 200)] == pytest.approx([0.0, 1 / 18])
+    assert [frame.earlier for frame in labels] == [None, None]
+
+
 def test_labels_of_some_frames_of_a_video_are_as_far_apart_as_these(tmp_path: Path) -> None:
     clip = make_video(tmp_path / "clip.mp4")  # 25 Hz
     names = ["frame_000002.png", "frame_000012.png", "frame_000022.png"]

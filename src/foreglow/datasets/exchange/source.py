@@ -168,7 +168,7 @@ class LabelFile(LabelledSource):
         return self._at(drive[earlier], earlier)
 
     def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
-        """By step, the images in the folder of a sequence; empty if labelled ones have no place there, or another."""
+        """By step, the images in the folder of a sequence; empty if nobody knows when these, or labelled ones, were."""
         if self._video is not None:
             return {}
         paths = [self.folder / self._images[image_id].name for image_id in sequence.image_ids]
