@@ -370,10 +370,11 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
     write_can_log(log, [], [(k * 10_000_000, EgoMotion(20.0, 0.0)) for k in range(50)])
     words = ("run", folder, "--preset", "paper", "--config", config, "--can-log", log)
     told = f"{log} says nothing of any frame: expected data of their times (--time-offset)"
-    for number, (offset_s, is_told) in enumerate([(0, False), (100, True)]):
+    few = f"{log}: our motion is known in 1 of 3 frames, and at most 0.5 s after a message: it begins later, ends "
+    for number, (offset_s, is_told, is_few) in enumerate([(0, False, False), (0.1, False, True), (100, True, False)]):
         result = foreglow_command(*words, "--out", tmp_path / f"{number}", "--time-offset", offset_s)
         assert result.exit_code == 0, result.output
-        assert (told in result.stdout) == is_told
+        assert ((told in result.stdout), (few in result.stdout)) == (is_told, is_few)
 
 
 def test_images_that_are_missing_are_told(tmp_path: Path, folder: Path, config: Path) -> None:
@@ -395,3 +396,11 @@ def test_a_raw_stream_says_its_rate(tmp_path: Path, config: Path) -> None:
         assert result.exit_code == 0, result.output
         assert f"{path}: a raw stream has no times: taken for 50 frames a second" in result.stdout
         shutil.rmtree(tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_replay_of_images_says_which_rate_is_assumed_as_a_run_does(tmp_path: Path, folder: Path) -> None:
+    for command in (("run",), ("live", "--speed", 0)):
+        result = foreglow_command(*command, folder, "--out", tmp_path / command[0])
+        assert result.exit_code == 0, result.output
+        assert f"{folder}: images have no times: taken for 18 frames a second; " in result.stdout

@@ -13,7 +13,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
-from foreglow.cli.shared_run import recording_sinks, viewer_sinks
+from foreglow.cli.shared_run import recording_sinks, source_notes, viewer_sinks
 from foreglow.command_line import argument, folder, option, output_file, refuse_unused, with_options
 from foreglow.options import (
     RECORD_HELP,
@@ -92,7 +92,7 @@ def live(
     quality: QualityOption = "training",
 ) -> None:
     """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
-    from foreglow.runtime.live import ClosedLoop
+    from foreglow.runtime.live import ClosedLoop, Paced
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live, options_of
     from foreglow.wording import without_password
@@ -135,7 +135,7 @@ def live(
             yield from viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
 
         summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)
-    _finish(summary, out, error)
+    _finish(summary, out, error, source_notes(opened.source) if isinstance(opened, Paced) else ())
 
 
 def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:
@@ -204,11 +204,14 @@ def _run(
     return summary, error
 
 
-def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None) -> None:
-    """Prints what came of the run; exits with 130 if it was interrupted, with 2 if it or a sink failed."""
+def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None, notes: Sequence[str]) -> None:
+    """Prints what came of the run, and what was assumed of its source.
+
+    Exits with 130 if it was interrupted, with 2 if it or a sink failed.
+    """
     from foreglow.display.live_status import live_lines
 
-    lines = live_lines(summary)
+    lines = [*live_lines(summary), *notes]
     if error is None and not summary.run.is_complete:
         lines.append("interrupted")
     typer.echo("\n".join([*lines, *([] if out is None else [f"look in {out}"])]))

@@ -15,6 +15,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
+from foreglow.cli.shared_run import source_notes
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.command_line import argument, flag, option, refuse_unused, with_options
 from foreglow.options import (
@@ -114,7 +115,7 @@ def source(
 
 
 def _say_left_out(played: FrameSource, num_frames: int) -> None:
-    """Prints what was left out of a source of which so many frames were played.
+    """Prints what was left out, and what was assumed, of a source of which so many frames were played.
 
     Raises:
         ValueError: If that were all of them.
@@ -126,7 +127,7 @@ def _say_left_out(played: FrameSource, num_frames: int) -> None:
     from foreglow.runtime.run import check_readable
 
     check_readable(origin_name(played), num_frames, played.skipped)
-    for line in left_out_lines(played.skipped, len(lost_parts(played))):
+    for line in [*left_out_lines(played.skipped, len(lost_parts(played))), *source_notes(played)]:
         typer.echo(printable(line))
 
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from foreglow.runtime import Opening, OutputFolder, ResultSink, RunSummary, Stepper
     from foreglow.runtime.health import LiveSink
 
+MOST_FRAMES = 0.9
+"""A log that tells our motion in so many frames of a run is as ever: one begins or ends a little before the other."""
+
 WINDOW_S = 20.0
 """How far back the plots of the viewer's window go."""
 
@@ -97,14 +100,26 @@ def say_lack(run: Path, num_frames: int | None = None) -> bool:
 
 
 def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
-    """A line for each file with data of the car that said nothing of any frame of the run: its clock may be another."""
-    num_known = (summary.num_with_motion or 0) + (summary.num_with_road or 0)
-    counts = {vehicle.can_log: num_known, vehicle.poses: summary.num_with_road}
-    return [
+    """A line for each file with data of the car that said nothing of any frame of the run: its clock may be another.
+
+    And one where a log leaves the speed of many frames unknown.
+    """
+    num_moving = summary.num_with_motion or 0
+    counts = {vehicle.can_log: num_moving + (summary.num_with_road or 0), vehicle.poses: summary.num_with_road}
+    lines = [
         f"{path} says nothing of any frame: expected data of their times (--time-offset)"
         for path, count in counts.items()
         if path is not None and not count
     ]
+    if vehicle.can_log is not None and 0 < num_moving < MOST_FRAMES * summary.num_frames:
+        from foreglow.datasets.vehicle_logs.can_log import MOTION_STALE_S
+
+        lines.append(
+            f"{vehicle.can_log}: our motion is known in {num_moving} of {summary.num_frames} frames, and at most "
+            f"{MOTION_STALE_S:g} s after a message: it begins later, ends earlier (--time-offset), or tells it less "
+            "often"
+        )
+    return lines
 
 
 def source_notes(frames: FrameSource) -> list[str]:

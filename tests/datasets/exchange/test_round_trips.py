@@ -375,7 +375,8 @@ def test_earlier_images_are_no_frames(tmp_path: Path) -> None:
     folder = next((tmp_path / "own/images").iterdir())
     assert [path.name for path in folder.glob("*_earlier.png")] == ["000010_earlier.png"]
     beside = "earlier image, without labels, beside a labelled one"
-    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1}
+    times = "sequence with attributes (weather, road, driver, times, ...)"
+    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1, times: 1}
     again = LabelFile(tmp_path / "b.xml", folder)
     assert again.lost == labels_of(again).lost == labels_of(again, {2, 10}).lost == {beside: 1}
     assert not labels_of(again, {2, 22}).lost
@@ -395,8 +396,8 @@ def test_the_earlier_image_of_a_frame_is_chosen_by_its_time(tmp_path: Path) -> N
     clip = make_video(tmp_path / "clip.mp4", times=[*range(12), *range(12, 36, 3)])
     images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72)) for number in (9, 15, 19))
     write_labels_file(tmp_path / "a.xml", LabelSet(images, is_video=True), "cvat")
-    pairs = list(LabelFile(tmp_path / "a.xml", clip).pairs())
-    ages_s = [(now.timestamp_ns - before.timestamp_ns) / 1e9 for now, before in pairs if before is not None]
+    frames = list(LabelFile(tmp_path / "a.xml", clip))
+    ages_s = [(each.timestamp_ns - each.earlier.timestamp_ns) / 1e9 for each in frames if each.earlier is not None]
     assert ages_s == pytest.approx([0.24, 0.24, 0.24])
 
 

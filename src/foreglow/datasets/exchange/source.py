@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
+import itertools
+import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
@@ -19,7 +22,7 @@ from foreglow.datasets.exchange.marks import (
     numbered,
     vehicles_of,
 )
-from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in
+from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in, steps_in
 from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
@@ -47,7 +50,13 @@ class LabelFile(LabelledSource):
     has for it; where the images lie in several folders, the number that its file is called, where all are called by
     numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or about the
     images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the frames of a
-    video, too. Times follow the ids, at the video's rate or PVDN's.
+    video, too.
+
+    Whatever part of a drive is labelled, its images have the times of the drive: those of the video, of which `time_s`
+    tells as if its rate were steady, or those that a run on their folder has, at PVDN's rate. Where images have no
+    place in their folder, or other places than by their ids, each is a frame later than the one before. A frame comes
+    with one of a quarter of a second before, `Frame.earlier`, unless that is labelled, too: a classifier may want to
+    see what was there before, and nobody labels all frames of a drive.
 
     Attributes:
         labels: What the file says.
@@ -74,9 +83,11 @@ class LabelFile(LabelledSource):
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
         named = numbered(self._named())
         self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
-        self._labelled = frozenset(self.folder / image.name for image in named)
+        self._labelled = {self.folder / image.name: id_ for id_, image in self._images.items()}
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
+        self._drives = {each.id: self._drive_of(each) for each in self._sequences}
+        self._steps = {id_: step for each in self._sequences for id_, step in self._steps_of(each).items()}
         self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
 
     @property
@@ -94,7 +105,7 @@ class LabelFile(LabelledSource):
         """The selected frames."""
         self.skipped = []
         if self._video is not None:
-            return (frame for frame, _ in self.pairs())
+            return self._of_video(self._video)
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
         return self._read_each(reads)
 
@@ -107,32 +118,24 @@ class LabelFile(LabelledSource):
         splits = {folder.resolve().parents[1] for folder in folders if len(folder.resolve().parents) > 1}
         return frozenset({*folders, *filter(is_split, splits)})
 
-    def pairs(self) -> Iterator[tuple[Frame, Frame | None]]:
-        """The selected frames; of a video each with one from a quarter of a second before, unless it is selected, too.
-
-        A classifier may want to see what was there before, and nobody labels all frames of a drive.
-        """
-        if self._video is None:
-            yield from ((frame, None) for frame in self)
-            return
+    def _of_video(self, video: Video) -> Iterator[Frame]:
+        """The selected frames of a video, each with its earlier one."""
         wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
         selected = frozenset(wanted)
         recent: list[Frame] = []
-        for frame in self._video:
+        for frame in video:
             earliest_ns = frame.timestamp_ns - round(2e9 * EARLIER_S)
             recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns]
             if frame.frame in wanted:
-                earlier = _earlier(recent, frame.timestamp_ns)
-                is_known = earlier is None or earlier.frame in selected
-                yield self._checked(frame, wanted.pop(frame.frame)), None if is_known else earlier
+                earlier = _earlier({kept.frame: kept.timestamp_ns for kept in recent}, frame.timestamp_ns)
+                kept_with_it = next((kept for kept in recent if kept.frame == earlier), None)
+                yield self._checked(frame, wanted.pop(frame.frame), None if earlier in selected else kept_with_it)
             if not wanted:
                 return
             if not recent or frame.timestamp_ns - recent[-1].timestamp_ns >= EARLIER_STEP_S * 1e9:
                 recent.append(frame)
         if wanted:
-            raise ValueError(
-                f"{self._video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before"
-            )
+            raise ValueError(f"{video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before")
 
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`; of a video, all frames before it are decoded."""
@@ -143,11 +146,47 @@ class LabelFile(LabelledSource):
                 if frame.frame == number:
                     return self._checked(frame, image_id)
             raise ValueError(self._missing(number))
-        path = self.image_path(image_id)
+        frame = self._at(self.image_path(image_id), self._steps[image_id])
+        return self._checked(frame, image_id, self._beside(image_id))
+
+    def _at(self, path: Path, step: int) -> Frame:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
         image, chroma = read_coloured_image(path)
-        return self._checked(Frame(image, 0, path=str(path), red_chroma=chroma), image_id)
+        return Frame(image, self._time_ns(step), path=str(path), red_chroma=chroma)
+
+    def _time_ns(self, step: int) -> int:
+        return round(step * 1e9 / self.rate_hz)
+
+    def _beside(self, image_id: int) -> Frame | None:
+        """Of the images in its folder the earlier one; None without one, or if it is among the selected ones."""
+        step, drive = self._steps[image_id], self._drives[self.sequence(image_id).id]
+        steps = range(step - math.ceil(2 * EARLIER_S * self.rate_hz), step)
+        earlier = _earlier({each: self._time_ns(each) for each in steps if each in drive}, self._time_ns(step))
+        if earlier is None or self._labelled.get(drive[earlier]) in self.frame_ids:
+            return None
+        return self._at(drive[earlier], earlier)
+
+    def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
+        """By step, the images in the folder of a sequence; empty if nobody knows when these, or labelled ones, were."""
+        if self._video is not None:
+            return {}
+        paths = [self.folder / self._images[image_id].name for image_id in sequence.image_ids]
+        folder = paths[0].parent
+        with contextlib.suppress(OSError, ValueError):
+            drive = {step: folder / name for name, step in steps_in(folder).items()}
+            places = {path: step for step, path in drive.items()}
+            steps = [places.get(path, -1) for path in paths]
+            if steps[0] >= 0 and all(before < after for before, after in itertools.pairwise(steps)):
+                return drive
+        return {}
+
+    def _steps_of(self, sequence: Sequence) -> dict[int, int]:
+        """By id, how many frames each image comes after the first one of its drive, or of the sequence."""
+        if self._video is not None:
+            return {image_id: image_id for image_id in sequence.image_ids}
+        steps = {self._labelled.get(path): step for step, path in self._drives[sequence.id].items()}
+        return {image_id: steps.get(image_id, place) for place, image_id in enumerate(sequence.image_ids)}
 
     @property
     def coco_ids(self) -> dict[int, int]:
@@ -200,7 +239,8 @@ class LabelFile(LabelledSource):
 
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
-        return self.sequence(image_id).image_ids.index(image_id) / self.rate_hz
+        self._image(image_id)
+        return (self._steps[image_id] - self._steps[self.sequence(image_id).image_ids[0]]) / self.rate_hz
 
     def _missing(self, number: int) -> str:
         return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
@@ -210,8 +250,8 @@ class LabelFile(LabelledSource):
             raise ValueError(f"{self.path}: image_id: expected an image of this file, got {image_id}")
         return self._images[image_id]
 
-    def _checked(self, frame: Frame, image_id: int) -> Frame:
-        """The frame of an image as this data set has it.
+    def _checked(self, frame: Frame, image_id: int, earlier: Frame | None = None) -> Frame:
+        """The frame of an image as this data set has it, with an earlier one that is as large.
 
         Raises:
             ValueError: If it does not have the size in the labels, or a point lies far outside of it.
@@ -223,9 +263,11 @@ class LabelFile(LabelledSource):
                 f"{frame.width_px}x{frame.height_px} px"
             )
         check_near(self._images[image_id], (frame.width_px, frame.height_px), self.path)
-        timestamp_ns = round(1e9 * self.time_s(image_id)) if self._video is None else frame.timestamp_ns
         directory = self._sequence_of[image_id].directory
-        return dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)
+        if earlier is not None:
+            is_alike = (earlier.image.shape, earlier.image.dtype) == (frame.image.shape, frame.image.dtype)
+            earlier = dataclasses.replace(earlier, sequence=directory) if is_alike else None
+        return dataclasses.replace(frame, frame=image_id, sequence=directory, earlier=earlier)
 
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""
@@ -281,10 +323,10 @@ class LabelFile(LabelledSource):
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
 
 
-def _earlier(frames: Iterable[Frame], now_ns: int) -> Frame | None:
-    """The frame whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
-    aged = {now_ns - frame.timestamp_ns: frame for frame in frames if now_ns - frame.timestamp_ns >= 5e8 * EARLIER_S}
-    return aged[min(aged, key=lambda age_ns: abs(age_ns - 1e9 * EARLIER_S))] if aged else None
+def _earlier(times_ns: Mapping[int, int], now_ns: int) -> int | None:
+    """The key of the time whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
+    ages_ns = {key: now_ns - time_ns for key, time_ns in times_ns.items() if now_ns - time_ns >= 5e8 * EARLIER_S}
+    return min(ages_ns, key=lambda key: abs(ages_ns[key] - 1e9 * EARLIER_S)) if ages_ns else None
 
 
 def _frame_number(name: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shutil
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -255,13 +256,23 @@ def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins:
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
-            pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)
-            images = (_labelled(frame, dataset, earlier) for frame, earlier in pairs)
-            num_images += len(writer.add_sequence(sequence.model_copy(update={"image_ids": ()}), images).image_ids)
+            frames = iter(part)
+            first = list(itertools.islice(frames, 1))
+            times_ms = _times_ms(dataset, first[0], part.frame_ids[-1]) if first else {}
+            images = (_labelled(frame, dataset) for frame in itertools.chain(first, frames))
+            stored = writer.add_sequence(sequence.model_copy(update={"image_ids": (), **times_ms}), images)
+            num_images += len(stored.image_ids)
     return num_images
 
 
-def _labelled(frame: Frame, dataset: LabelledSource, earlier: Frame | None) -> LabelledImage:
+def _times_ms(dataset: LabelledSource, first: Frame, last: int) -> dict[str, float]:
+    """When a sequence begins and ends, from its first frame to its last image: as a log of the drive has it."""
+    start_ms = first.timestamp_ns / 1e6
+    lasts_s = dataset.time_s(last) - dataset.time_s(first.frame)
+    return {"start_time_ms": start_ms, "end_time_ms": start_ms + 1e3 * lasts_s}
+
+
+def _labelled(frame: Frame, dataset: LabelledSource) -> LabelledImage:
     categories = tuple(each for each in dataset.categories(frame.frame) if each != ImageCategory.NONE)
     vehicles, doubtful = dataset.annotations(frame.frame), dataset.doubtful(frame.frame)
-    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=earlier)
+    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=frame.earlier)
