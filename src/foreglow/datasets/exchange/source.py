@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -19,7 +21,15 @@ from foreglow.datasets.exchange.marks import (
     numbered,
     vehicles_of,
 )
-from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in
+from foreglow.datasets.image_folder import (
+    earlier_name,
+    frame_numbers,
+    has_earlier,
+    is_one_drive,
+    natural_key,
+    number_in,
+    steps_with_gaps,
+)
 from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
@@ -45,9 +55,10 @@ class LabelFile(LabelledSource):
 
     The folder that an image lies in is its sequence. An image's id is the frame that a run on the same video or folder
     has for it; where the images lie in several folders, the number that its file is called, where all are called by
-    numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or about the
-    images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the frames of a
-    video, too. Times follow the ids, at the video's rate or PVDN's.
+    numbers as in PVDN, else its place in the natural order of all names. Labels of a video are about the frames of a
+    video or about the images of a folder, by their order. Labels of images that are called `frame_000012.png` may be
+    about the frames of a video, too. Times are those of a run on the same video or folder, where images without labels
+    have a place as well, at the video's rate or PVDN's.
 
     Attributes:
         labels: What the file says.
@@ -108,12 +119,12 @@ class LabelFile(LabelledSource):
         return frozenset({*folders, *filter(is_split, splits)})
 
     def pairs(self) -> Iterator[tuple[Frame, Frame | None]]:
-        """The selected frames; of a video each with one from a quarter of a second before, unless it is selected, too.
+        """The selected frames, each with one from a quarter of a second before, unless it is selected, too.
 
         A classifier may want to see what was there before, and nobody labels all frames of a drive.
         """
         if self._video is None:
-            yield from ((frame, None) for frame in self)
+            yield from ((frame, frame.earlier) for frame in self)
             return
         wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
         selected = frozenset(wanted)
@@ -147,7 +158,23 @@ class LabelFile(LabelledSource):
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
         image, chroma = read_coloured_image(path)
-        return self._checked(Frame(image, 0, path=str(path), red_chroma=chroma), image_id)
+        frame = self._checked(Frame(image, 0, path=str(path), red_chroma=chroma), image_id)
+        return dataclasses.replace(frame, earlier=self._before(frame))
+
+    def _before(self, frame: Frame) -> Frame | None:
+        """The image of the drive that a classifier wants to see beside a frame, unless it has labels itself."""
+        path, (step, names) = Path(frame.path), self._steps[frame.frame]
+        least, most = math.ceil(0.5 * EARLIER_S * self.rate_hz), math.floor(2 * EARLIER_S * self.rate_hz)
+        lags = [lag for lag in range(most, least - 1, -1) if step - lag in names]
+        lag = min(lags, key=lambda lag: round(abs(lag / self.rate_hz - EARLIER_S), 6), default=0)
+        before = path.with_name(names.get(step - lag, path.name))
+        if before in self._labelled or not is_one_drive(before, path):
+            return None
+        image, _ = read_coloured_image(before)
+        if (image.shape, image.dtype) != (frame.image.shape, frame.image.dtype):
+            return None
+        timestamp_ns = frame.timestamp_ns - round(1e9 * lag / self.rate_hz)
+        return dataclasses.replace(frame, image=image, timestamp_ns=timestamp_ns, path=str(before), red_chroma=None)
 
     @property
     def coco_ids(self) -> dict[int, int]:
@@ -200,7 +227,25 @@ class LabelFile(LabelledSource):
 
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
-        return self.sequence(image_id).image_ids.index(image_id) / self.rate_hz
+        first_id = self.sequence(image_id).image_ids[0]
+        return (self._steps[image_id][0] - self._steps[first_id][0]) / self.rate_hz
+
+    @functools.cached_property
+    def _steps(self) -> dict[int, tuple[int, dict[int, str]]]:
+        """By image, which frame of its folder it is, and the names of the images there by that.
+
+        Where the images of a sequence are not in one folder, in the same order, it is the place there, without names.
+        """
+        found: dict[int, tuple[int, dict[int, str]]] = {}
+        for sequence in self._sequences:
+            paths = [self.image_path(image_id) for image_id in sequence.image_ids]
+            steps = {} if self._video is not None else _steps_in(paths[0].parent)
+            places = [steps.get(path.name, -1) if path.parent == paths[0].parent else -1 for path in paths]
+            names = {step: name for name, step in steps.items()}
+            if any(first >= later for first, later in itertools.pairwise([-1, *places])):
+                names, places = {}, list(range(len(paths)))
+            found |= {image_id: (place, names) for image_id, place in zip(sequence.image_ids, places, strict=True)}
+        return found
 
     def _missing(self, number: int) -> str:
         return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
@@ -247,7 +292,7 @@ class LabelFile(LabelledSource):
     def _ids(self, names: list[str]) -> list[int]:
         """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
 
-        In folders of folders it is the number that each is called by, where all are; else its number in the file.
+        In folders of folders it is the number that each is called by, where all are; else its place by its name.
 
         Raises:
             ValueError: If they are those of a video, and one is no frame's, or there twice.
@@ -264,7 +309,9 @@ class LabelFile(LabelledSource):
                 return [frames[name] for name in names]
         numbers = [number_in(name) for name in names]
         known = [number for number in numbers if number is not None]
-        return known if len(set(known)) == len(names) else list(range(len(names)))
+        order = sorted(names, key=lambda name: (natural_key(name), name))
+        places = {name: place for place, name in enumerate(order)}
+        return known if len(set(known)) == len(names) else [places[name] for name in names]
 
     def _named(self) -> tuple[ImageLabels, ...]:
         """The labels with the names of files; of a video, with the numbers of frames."""
@@ -285,6 +332,15 @@ def _earlier(frames: Iterable[Frame], now_ns: int) -> Frame | None:
     """The frame whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
     aged = {now_ns - frame.timestamp_ns: frame for frame in frames if now_ns - frame.timestamp_ns >= 5e8 * EARLIER_S}
     return aged[min(aged, key=lambda age_ns: abs(age_ns - 1e9 * EARLIER_S))] if aged else None
+
+
+def _steps_in(folder: Path) -> dict[str, int]:
+    """By name, how many frames each image in a folder comes after the first; nothing if there is no image."""
+    try:
+        numbers = frame_numbers(folder)
+    except (OSError, ValueError):  # reading one says what is wrong
+        return {}
+    return dict(zip(numbers, steps_with_gaps(list(numbers.values())), strict=True))
 
 
 def _frame_number(name: str) -> int:
