@@ -79,7 +79,7 @@ def import_(
     dataset = exchange.LabelFile(source, images)
     origins = origins_of(dataset)
     exchange.write_split(dataset, out, origins)
-    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
+    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost), *dataset.unknown_vehicles]
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
         lines.append(_empty_line(num_empty))

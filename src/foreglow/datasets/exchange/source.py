@@ -15,9 +15,11 @@ from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import (
     EARLIER_IMAGE,
     ImageLabels,
+    Kind,
     LabelSet,
     check_near,
     doubtful_of,
+    lost_lines,
     numbered,
     vehicles_of,
 )
@@ -194,6 +196,19 @@ class LabelFile(LabelledSource):
         """By what it is, how much of the file and beside its images is not among the selected frames."""
         num_earlier = sum(map(self.has_earlier, self.frame_ids))
         return +Counter({**self.labels.lost, EARLIER_IMAGE: num_earlier})
+
+    @property
+    def notes(self) -> list[str]:
+        """As in `LabelledSource`."""
+        return [*lost_lines(self.labels.lost), *self.unknown_vehicles]
+
+    @property
+    def unknown_vehicles(self) -> list[str]:
+        """A line if there are lights of which nobody says of which vehicle they are."""
+        marks = [mark for image in self.labels.images for mark in image.marks if mark.kind == Kind.LIGHT]
+        num_alone = sum(mark.oid is None and mark.iid is None and mark.track is None for mark in marks)
+        words = f"{num_alone} of {len(marks)} lights have neither oid nor iid: each is of a vehicle of its own"
+        return [words] if num_alone else []
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`."""
