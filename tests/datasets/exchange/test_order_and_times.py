@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import PVDN, ImageFolder
-from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, write_labels_file, write_split
-from foreglow.datasets.exchange.marks import ImageLabels, LabelSet
+from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of, write_labels_file, write_split
+from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet
+from foreglow.datasets.images import png
 from foreglow.datasets.labelled import LabelledSource
 
 
@@ -73,3 +74,34 @@ def test_images_are_in_the_order_of_their_names(tmp_path: Path, kind: str) -> No
     assert [
         (each.directory, [source.image(image_id).file_name for image_id in each.image_ids]) for each in source.sequences
     ] == [("a", ["1.png", "2.png", "10.png"]), ("b", ["1.png", "2.png"])]
+
+
+def images_at(folder: Path, names: Iterable[str]) -> tuple[ImageLabels, ...]:
+    """Images of these paths below a folder, and their labels, with a light each."""
+    for number, name in enumerate(names):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(png(np.full((72, 96), number, np.uint8)))
+    return tuple(ImageLabels(name, (96, 72), (Mark(Kind.LIGHT, (5, 6)),)) for name in names)
+
+
+def test_every_folder_is_a_drive_of_its_own(tmp_path: Path) -> None:
+    """Also where their names differ by a slash, or only at their ends."""
+    long = f"{'a' * 150}/{'b' * 150}"
+    names = ("a/b/1.png", "a_b/1.png", f"{long}/1.png", f"{long}c/1.png", "1.png", "labels/1.png")
+    write_labels_file(tmp_path / "labels.xml", LabelSet(images_at(tmp_path, names)), "cvat")
+    source = LabelFile(tmp_path / "labels.xml")
+    assert len({each.directory for each in source.sequences}) == len(names)
+    assert [each.num_images for each in source.sequences] == [1] * len(names)
+    write_split(source, tmp_path / "own")
+    assert len(PVDN(tmp_path / "own").sequences) == len(names)
+
+
+@pytest.mark.parametrize("kind", ["cvat", "coco", "label-studio"])
+def test_labels_of_a_tool_in_another_tools_format_are_for_the_same_images(tmp_path: Path, kind: str) -> None:
+    names = ("1.png", "a/b/2.png", "a/b/10.00\u202fPM.png")
+    write_labels_file(tmp_path / "labels.xml", LabelSet(images_at(tmp_path, names)), "cvat")
+    path = tmp_path / f"converted{LABEL_FORMATS[kind].suffix}"
+    write_labels_file(path, labels_of(LabelFile(tmp_path / "labels.xml")), kind)
+    source = LabelFile(path)
+    assert {source.image_path(k).relative_to(tmp_path).as_posix() for k in source.frame_ids} == set(names)
+    assert {source.image(k).file_name for k in source.frame_ids} == {"1.png", "2.png", "10.00\u202fPM.png"}

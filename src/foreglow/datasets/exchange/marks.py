@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import math
 import re
-import unicodedata
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +13,7 @@ from enum import StrEnum
 from pathlib import PurePosixPath
 from typing import Any
 
-from foreglow.datasets.pvdn.schema import ImageCategory, Instance, Vehicle
+from foreglow.datasets.pvdn.schema import ImageCategory, Instance, Vehicle, is_plain
 from foreglow.wording import shortened
 
 MAX_IMAGES = 200_000
@@ -329,17 +328,13 @@ def plain_path(name: str, origin: str) -> str:
             message begins with `origin`.
     """
     parts = PurePosixPath(name).parts
-    is_bad = not parts or not all(map(_is_plain, name)) or len(name) > MAX_PATH or re.match("[A-Za-z]:", name)
+    is_bad = not parts or not is_plain(name) or len(name) > MAX_PATH or re.match("[A-Za-z]:", name)
     if is_bad or any(part in ("/", "//", "..") or len(part) > MAX_PART for part in parts):
         raise ValueError(
             f"{origin}: expected a path below the folder of the images, of printable UTF-8 without backslashes, "
             f"at most {MAX_PATH} characters and {MAX_PART} in each part, got {shortened(name)}"
         )
     return "/".join(parts)
-
-
-def _is_plain(character: str) -> bool:
-    return character != "\\" and (character.isprintable() or unicodedata.category(character) == "Zs")
 
 
 def checked_images(images: Iterable[ImageLabels], path: object) -> tuple[ImageLabels, ...]:

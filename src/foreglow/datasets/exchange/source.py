@@ -374,17 +374,21 @@ def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ..
     """The sequences: a folder each, called by its name, or by that of the file where the images lie in none."""
     ids: dict[str, list[int]] = {}
     for image_id, image in images.items():
-        folder = image.name.rpartition("/")[0].replace("/", "_")
-        ids.setdefault(folder or re.sub(r"[^\w.-]", "_", path.stem), []).append(image_id)
-    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in ids]
+        ids.setdefault(image.name.rpartition("/")[0], []).append(image_id)
+    folders: dict[str, str] = {}  # by the name of the sequence
+    for folder in sorted(ids):
+        name = (folder.replace("/", "_") or re.sub(r"[^\w.-]", "_", path.stem))[:200]
+        others = (f"{name[:190]}_{number}" for number in itertools.count(2))  # a/b and a_b are two drives
+        folders[next(each for each in (name, *itertools.islice(others, len(folders))) if each not in folders)] = folder
+    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in folders]
     numbers = {int(found[1]) for found in known if found}
     is_known = all(known) and len(numbers) == len(ids)
     return tuple(
         Sequence.plain(
             int(directory[1:]) if is_known else index,
-            directory=directory[:200],
-            image_ids=tuple(sorted(image_ids)),
-            num_images=len(image_ids),
+            directory=directory,
+            image_ids=tuple(sorted(ids[folder])),
+            num_images=len(ids[folder]),
         )
-        for index, (directory, image_ids) in enumerate(sorted(ids.items()), start=1)
+        for index, (directory, folder) in enumerate(sorted(folders.items()), start=1)
     )
