@@ -223,6 +223,6 @@ def _extent(box: Iterable[float]) -> str:
 def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
     image = dataset.image(min(sequence.image_ids))
     return (
-        f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"
+        f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.mean_rate_hz:g}\n"
         f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt=.png\n"
     )

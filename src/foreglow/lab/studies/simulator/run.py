@@ -121,7 +121,8 @@ def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
 
 def _real_statistics(path: Path) -> LabelStatistics:
     if path.is_dir():
-        return label_statistics(labels_of_split(open_labelled(path)))
+        dataset = open_labelled(path)
+        return label_statistics(labels_of_split(dataset), dataset.mean_rate_hz)
     return label_statistics(read_label_digest(path))
 
 
