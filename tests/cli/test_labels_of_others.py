@@ -195,3 +195,8 @@ def test_lights_of_unknown_vehicles_are_counted(tmp_path: Path) -> None:
     result = foreglow_command("labels", "import", labels, "--images", split / "images", "--out", tmp_path / "own")
     assert result.exit_code == 0, result.output
     assert "1 of 3 lights have neither oid nor iid: each is of a vehicle of its own" in result.stdout
+    assert "no light is marked as direct" not in result.stdout
+    labels.write_text(text.replace(">true<", ">false<"))
+    result = foreglow_command("labels", "import", labels, "--images", split / "images", "--out", tmp_path / "other")
+    assert result.exit_code == 0, result.output
+    assert "no light is marked as direct: all of it is learnt as light that lamps throw" in result.stdout
