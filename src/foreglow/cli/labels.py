@@ -79,7 +79,10 @@ def import_(
     dataset = exchange.LabelFile(source, images)
     origins = origins_of(dataset)
     exchange.write_split(dataset, out, origins)
-    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
+    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost), *dataset.unknown_vehicles]
+    lights = [mark for image in dataset.labels.images for mark in image.marks if mark.kind == exchange.Kind.LIGHT]
+    if lights and not any(mark.is_direct for mark in lights):
+        lines.append("no light is marked as direct: all of it is learnt as light that lamps throw, and none as a lamp")
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
         lines.append(_empty_line(num_empty))

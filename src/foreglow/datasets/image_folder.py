@@ -302,6 +302,11 @@ def _is_soon_after(time: datetime | None, before: datetime | None) -> bool:
     return timedelta(0) <= time - before <= MAX_STEP
 
 
+def is_one_drive(before: Path, path: Path) -> bool:
+    """Whether the image at `path` goes on with the drive of the one at `before`, by the times of photographs."""
+    return _is_soon_after(_exif_time(path), _exif_time(before))
+
+
 def _exif_time(path: Path) -> datetime | None:
     """When a photograph was taken, by the earliest time in its Exif data; None for an image that does not say it."""
     with path.open("rb") as file:

@@ -108,6 +108,11 @@ class LabelledSource(FileSource, ABC):
         return None
 
     @property
+    def notes(self) -> list[str]:
+        """What is to be said of the labels, one line each, such as what a tool's file has and is not taken."""
+        return []
+
+    @property
     def num_frames(self) -> int:
         """Number of selected images."""
         return len(self.frame_ids)

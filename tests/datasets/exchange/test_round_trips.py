@@ -401,20 +401,6 @@ def test_the_earlier_image_of_a_frame_is_chosen_by_its_time(tmp_path: Path) -> N
     assert ages_s == pytest.approx([0.24, 0.24, 0.24])
 
 
-@pytest.mark.parametrize("kind", ["cvat", "coco", "label-studio"])
-def test_lights_without_numbers_are_other_vehicles_in_every_image(tmp_path: Path, kind: str) -> None:
-    clip = make_video(tmp_path / "clip.mp4")
-    marks = {2: (Mark(Kind.LIGHT, (5, 8), oid=3, iid=7), Mark(Kind.LIGHT, (20, 8))), 4: (Mark(Kind.LIGHT, (30, 8)),)}
-    marks[6] = (Mark(Kind.LIGHT, (40, 8)), Mark(Kind.LIGHT, (9, 9), oid=3, iid=7))
-    images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72), found) for number, found in marks.items())
-    path = tmp_path / ("a.xml" if kind == "cvat" else "a.json")
-    write_labels_file(path, LabelSet(images, is_video=True), kind)
-    source = LabelFile(path, clip)
-    vehicles = [vehicle for image_id in source.frame_ids for vehicle in source.annotations(image_id)]
-    assert sorted(vehicle.oid for vehicle in vehicles) == [3, 3, 4, 5, 6]
-    assert sorted(light.iid for vehicle in vehicles for light in vehicle.instances) == [7, 7, 8, 9, 10]
-
-
 def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: Path) -> None:
     """Nobody labels every frame; what a classifier sees in the car is there all the same."""
     clip = make_video(tmp_path / "clip.mp4")  # 25 Hz, brighter by 8 levels a frame

@@ -73,15 +73,15 @@ def test_an_earlier_image_of_another_size_is_none(tmp_path: Path) -> None:
     assert frame.earlier is None
 
 
-def test_images_without_an_order_of_their_own_are_a_frame_apart(tmp_path: Path) -> None:
-    """Their ids are their places in the file, where those of other folders have the same names."""
+def test_images_without_numbers_have_the_order_of_their_names(tmp_path: Path) -> None:
+    """Also where those of other folders have the same names, and the file has them in another order."""
     for folder in ("S00001", "S00002"):
         folder_of(tmp_path / folder, list(range(4)))
         for number in range(4):
             (tmp_path / folder / f"{number:06d}.png").rename(tmp_path / folder / f"{'dcba'[number]}.png")
     names = ["S00001/d.png", "S00001/a.png", "S00002/a.png", "S00002/d.png"]
     labels = open_labelled(labels_of(tmp_path / "a.xml", names))
-    assert [labels.time_s(number) for number in range(4)] == pytest.approx([0.0, 1 / 18, 0.0, 3 / 18])
+    assert [labels.time_s(number) for number in range(4)] == pytest.approx([0.0, 3 / 18, 0.0, 3 / 18])
 
 
 def test_images_that_were_chosen_here_and_there_have_no_earlier_ones(tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ def made_up(num_samples: int, seed: int = 0, set_size: int = 5) -> Samples:
         groups=np.where(labels == 1, 0, -1).astype(np.int8),
         boxes_xyxy_px=np.zeros((num_samples, 4), np.int32),
         image_ids=np.arange(num_samples, dtype=np.int64),
-        sequence_ids=np.zeros(num_samples, np.int32),
+        sequence_ids=np.zeros(num_samples, np.int64),
         sets=np.arange(num_samples, dtype=np.int32) // set_size,
     )
 

@@ -16,13 +16,23 @@ from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import (
     EARLIER_IMAGE,
     ImageLabels,
+    Kind,
     LabelSet,
     check_near,
     doubtful_of,
+    lost_lines,
     numbered,
     vehicles_of,
 )
-from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in, steps_in
+from foreglow.datasets.image_folder import (
+    earlier_name,
+    frame_numbers,
+    has_earlier,
+    is_one_drive,
+    natural_key,
+    number_in,
+    steps_in,
+)
 from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
@@ -48,9 +58,9 @@ class LabelFile(LabelledSource):
 
     The folder that an image lies in is its sequence. An image's id is the frame that a run on the same video or folder
     has for it; where the images lie in several folders, the number that its file is called, where all are called by
-    numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or about the
-    images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the frames of a
-    video, too.
+    numbers as in PVDN, else its place in the natural order of all names. Labels of a video are about the frames of a
+    video or about the images of a folder, by their order. Labels of images that are called `frame_000012.png` may be
+    about the frames of a video, too.
 
     Whatever part of a drive is labelled, its images have the times of the drive: those of the video, of which `time_s`
     tells as if its rate were steady, or those that a run on their folder has, at PVDN's rate. Where images have no
@@ -165,6 +175,8 @@ class LabelFile(LabelledSource):
         earlier = _earlier({each: self._time_ns(each) for each in steps if each in drive}, self._time_ns(step))
         if earlier is None or self._labelled.get(drive[earlier]) in self.frame_ids:
             return None
+        if not is_one_drive(drive[earlier], drive[step]):
+            return None
         return self._at(drive[earlier], earlier)
 
     def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
@@ -206,6 +218,19 @@ class LabelFile(LabelledSource):
         """By what it is, how much of the file and beside its images is not among the selected frames."""
         num_earlier = sum(map(self.has_earlier, self.frame_ids))
         return +Counter({**self.labels.lost, EARLIER_IMAGE: num_earlier})
+
+    @property
+    def notes(self) -> list[str]:
+        """As in `LabelledSource`."""
+        return [*lost_lines(self.labels.lost), *self.unknown_vehicles]
+
+    @property
+    def unknown_vehicles(self) -> list[str]:
+        """A line if there are lights of which nobody says of which vehicle they are."""
+        marks = [mark for image in self.labels.images for mark in image.marks if mark.kind == Kind.LIGHT]
+        num_alone = sum(mark.oid is None and mark.iid is None and mark.track is None for mark in marks)
+        words = f"{num_alone} of {len(marks)} lights have neither oid nor iid: each is of a vehicle of its own"
+        return [words] if num_alone else []
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`."""
@@ -289,7 +314,7 @@ class LabelFile(LabelledSource):
     def _ids(self, names: list[str]) -> list[int]:
         """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
 
-        In folders of folders it is the number that each is called by, where all are; else its number in the file.
+        In folders of folders it is the number that each is called by, where all are; else its place by its name.
 
         Raises:
             ValueError: If they are those of a video, and one is no frame's, or there twice.
@@ -306,7 +331,9 @@ class LabelFile(LabelledSource):
                 return [frames[name] for name in names]
         numbers = [number_in(name) for name in names]
         known = [number for number in numbers if number is not None]
-        return known if len(set(known)) == len(names) else list(range(len(names)))
+        order = sorted(names, key=lambda name: (natural_key(name), name))
+        places = {name: place for place, name in enumerate(order)}
+        return known if len(set(known)) == len(names) else [places[name] for name in names]
 
     def _named(self) -> tuple[ImageLabels, ...]:
         """The labels with the names of files; of a video, with the numbers of frames."""
@@ -345,17 +372,21 @@ def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ..
     """The sequences: a folder each, called by its name, or by that of the file where the images lie in none."""
     ids: dict[str, list[int]] = {}
     for image_id, image in images.items():
-        folder = image.name.rpartition("/")[0].replace("/", "_")
-        ids.setdefault(folder or re.sub(r"[^\w.-]", "_", path.stem), []).append(image_id)
-    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in ids]
+        ids.setdefault(image.name.rpartition("/")[0], []).append(image_id)
+    folders: dict[str, str] = {}  # by the name of the sequence
+    for folder in sorted(ids):
+        name = (folder.replace("/", "_") or re.sub(r"[^\w.-]", "_", path.stem))[:200]
+        others = (f"{name[:190]}_{number}" for number in itertools.count(2))  # a/b and a_b are two drives
+        folders[next(each for each in (name, *itertools.islice(others, len(folders))) if each not in folders)] = folder
+    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in folders]
     numbers = {int(found[1]) for found in known if found}
     is_known = all(known) and len(numbers) == len(ids)
     return tuple(
         Sequence.plain(
             int(directory[1:]) if is_known else index,
-            directory=directory[:200],
-            image_ids=tuple(sorted(image_ids)),
-            num_images=len(image_ids),
+            directory=directory,
+            image_ids=tuple(sorted(ids[folder])),
+            num_images=len(ids[folder]),
         )
-        for index, (directory, image_ids) in enumerate(sorted(ids.items()), start=1)
+        for index, (directory, folder) in enumerate(sorted(folders.items()), start=1)
     )

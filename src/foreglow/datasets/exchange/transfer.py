@@ -98,6 +98,8 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
             lost[f"field {name}"] += 1
         categories = tuple(each for each in dataset.categories(image_id) if each != ImageCategory.NONE)
         name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
+        if isinstance(dataset, LabelFile) and dataset.image_path(image_id).name == record.file_name:  # of no video
+            name = dataset.image_path(image_id).relative_to(dataset.folder).as_posix()
         size_px = record.width_px, record.height_px
         images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories, image_id))
     if not images:

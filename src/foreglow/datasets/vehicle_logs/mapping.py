@@ -17,7 +17,6 @@ from foreglow.config import FrozenModel
 from foreglow.config.fields import ONE_OF
 from foreglow.street import MAX_RADIUS_M, MIN_RADIUS_M, STRAIGHT_CODE
 
-
 MIN_FACTOR, MAX_FACTOR = 1e-9, 100.0
 """In amount: units of speeds and yaw rates are at most some m/s and rad/s, raw codes tiny parts of them."""
 
