@@ -348,10 +348,11 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
 
 
 @pytest.mark.parametrize(
-    ("factor", "white_level", "is_told"), [(16, None, True), (16, 4080, False), (257, None, False)]
+    ("factor", "white_level", "is_told"), [(16, None, True), (16, 4080, False), (64, None, True), (257, None, False)]
 )
+@pytest.mark.parametrize(("command", "out"), [("run", "out"), ("record", "out.mcap")])
 def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
-    factor: int, white_level: int | None, is_told: bool, tmp_path: Path, config: Path
+    command: str, out: str, factor: int, white_level: int | None, is_told: bool, tmp_path: Path, config: Path
 ) -> None:
     images = tmp_path / "images"
     images.mkdir()
@@ -359,7 +360,7 @@ def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
         cv2.imwrite(str(images / f"{number:06d}.png"), night_image(number).astype(np.uint16) * np.uint16(factor))
     if white_level is not None:
         config.write_text(f"{config.read_text()}\n[guard]\nwhite_level = {white_level}\n")
-    ran = foreglow_command("run", images, "--out", tmp_path / "out", "--config", config)
+    ran = foreglow_command(command, images, "--out", tmp_path / out, "--config", config)
     assert ran.exit_code == 0
     assert ("images of 16 bits, none brighter than" in ran.stdout) is is_told
 

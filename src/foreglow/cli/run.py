@@ -122,7 +122,8 @@ def record(
 
     stepper = Pipeline(pipeline.configuration())
     frames = vehicle.equip(reading.open(source), reading.limit)
-    sinks = [progress_sink(frames, reading.limit)]
+    looks = look_sink(frames, reading.limit)
+    sinks: list[ResultSink] = [progress_sink(frames, reading.limit), looks]
     if ros2:
         from foreglow.runtime.ros2.bag import BagRecorder
 
@@ -130,4 +131,5 @@ def record(
     else:
         sinks += recording_sinks(out, source, stepper.config)
     summary = runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source))
-    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))
+    notes = [*source_notes(frames), *unused_lines(vehicle, summary), *bits_notes(looks, stepper.config)]
+    finish(summary, out, *notes)
