@@ -363,3 +363,22 @@ def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypat
 )
 def test_what_does_not_go_together_is_said(drives: Path, tmp_path: Path, options: list[str], message: str) -> None:
     assert message in complaint("train", drives, "--out", tmp_path / "mine", *options)
+
+
+def test_drives_that_nobody_has_labelled_teach_nothing(
+    tmp_path: Path, drives: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All light in them would be learnt as light of no vehicle."""
+    model_at(tmp_path / "start.onnx", NARROW, 1)
+    data = make_drives(tmp_path / "data", num_images=2)
+    for path in data.glob("day/*/labels/keypoints/*.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"annotations": []}))
+    options = ["--from", tmp_path / "start.onnx", "--config", drives.parent / "config.toml", "--device", "cpu"]
+    options += ["--out", tmp_path / "mine", "--epochs", 1]
+    assert f"{data}/day/train: expected light artifacts among" in complaint("train", data, *options)
+    monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)
+    monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
+    done = foreglow_command("train", drives / "day/train", data, *options)
+    assert done.exit_code == 0, done.output
+    for split in ("train", "val"):
+        assert f"{data}/day/{split}: no box with light: it says that nothing in it is light of a vehicle" in done.stdout

@@ -68,6 +68,16 @@ def test_drives_take_turns_and_moments_keep_apart() -> None:
     assert sum(each.frame >= 50 for each in chosen[1]) >= 4, "its better half"
 
 
+@pytest.mark.parametrize(("num_frames", "gap"), [(60, 1), (40, 2), (20, 3), (119, 1)])
+def test_frames_of_one_moment_are_not_all_named(num_frames: int, gap: int) -> None:
+    """Of 60 frames that are as good, the first 20 were named: they show the same."""
+    values = [0.9] * 60 + [0.5] * 60
+    (chosen,) = suggested([drive_of("a", values)], num_frames)
+    frames = [each.frame for each in chosen]
+    assert len(frames) == num_frames, "no fewer than are wanted"
+    assert np.diff(frames).min() >= gap
+
+
 def test_no_more_are_named_than_there_are() -> None:
     assert suggested([drive_of("a", [0.1, 0.2]), drive_of("b", [0.3])], 9) == [
         drive_of("a", [0.1, 0.2]), drive_of("b", [0.3]),

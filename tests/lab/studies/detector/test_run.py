@@ -244,6 +244,18 @@ def test_a_models_file_in_its_trainings_folder_tells_its_boxes(tmp_path: Path) -
         paper_chain(model)
 
 
+@pytest.mark.usefixtures("trainings")
+def test_all_rows_of_a_table_see_the_same_white(tmp_path: Path) -> None:
+    folder = made_training(tmp_path)[1]
+    config = read_config(folder / "config.toml")
+    (folder / "config.toml").write_text(config_to_toml(config.changed("guard", white_level=4095)))
+    for white_level in (None, 1023):
+        with pytest.raises(ValueError, match=rf"white_level: expected that of the table, {white_level}, got 4095"):
+            DetectorPlan(rows=("paper",), given={"paper": folder}, may_train=False, white_level=white_level)
+    DetectorPlan(rows=("paper",), given={"paper": folder}, may_train=False, white_level=4095)
+    assert paper_chain(folder, 4095).guard.white_level == 4095
+
+
 @pytest.mark.parametrize(
     "name",
     ["scenes.jsonl", "simulation/S00001/frames.jsonl", "simulation/S00001/camera.toml", "labels/sequences.json"],
@@ -378,6 +390,7 @@ def test_rows_without_an_f_are_not_compared(tmp_path: Path) -> None:
     assert [row.examination["quality"]["f1"] for row in results.rows] == [None, None]
     assert results.comparisons == ()
     write_report(results, (), tmp_path / "out")
+    assert "No key point in any image, so that only false boxes are judged" in (tmp_path / "out/table.md").read_text()
 
 
 def test_reasons(monkeypatch: pytest.MonkeyPatch) -> None:
