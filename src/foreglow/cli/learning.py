@@ -437,7 +437,7 @@ def import_weights(
             "TOLERANCE",
             "Remove channels as long as no score changes by more than this, such as 1e-3.",
             min=0.0,
-            max=1.0,
+            max=0.999,
         ),
     ] = None,
 ) -> None:
