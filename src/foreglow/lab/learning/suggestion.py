@@ -115,11 +115,13 @@ def unlikeness(run: RecordedRun) -> Mapping[int, float]:
         ValueError: If they cannot be read.
     """
     found: dict[int, float] = {}
-    latest = 0.0
+    latest, num_since, sequence = 0.0, 0, None
     for index, frame in enumerate(open_run(run.folder)):
         if index >= run.summary.num_frames:
             break
-        if index % LOOK_STEP == 0:
+        num_since = num_since + 1 if frame.sequence == sequence else 0  # drives may look unlike one another
+        sequence = frame.sequence
+        if num_since % LOOK_STEP == 0:
             seen = full_scale(frame, run.config.guard.white_level)
             distance = nearest_profile(look_of(seen.image))[1]
             latest = float(np.clip((distance - 0.5 * MAX_DISTANCE) / (1.5 * MAX_DISTANCE), 0.0, 1.0))
