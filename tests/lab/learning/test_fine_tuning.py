@@ -380,5 +380,17 @@ def test_drives_that_nobody_has_labelled_teach_nothing(
     monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
     done = foreglow_command("train", drives / "day/train", data, *options)
     assert done.exit_code == 0, done.output
+    mixed = foreglow_command("train", drives, *options, "--mix", data, "--out", tmp_path / "mixed")
+    assert mixed.exit_code == 0, mixed.output
     for split in ("train", "val"):
-        assert f"{data}/day/{split}: no box with light: it says that nothing in it is light of a vehicle" in done.stdout
+        for told in (done.stdout, mixed.stdout):
+            assert f"{data}/day/{split}: no box with light: it says that nothing in it is light of a vehicle" in told
+
+
+def test_nothing_is_learnt_and_kept_as_it_was(tmp_path: Path, drives: Path) -> None:
+    """What is mixed in has the old model's word for targets, against the labels."""
+    model_at(tmp_path / "start.onnx", NARROW, 1)
+    options = ["--from", tmp_path / "start.onnx", "--config", drives.parent / "config.toml", "--device", "cpu"]
+    for data in (drives, drives / "day/train"):
+        line = complaint("train", data, *options, "--mix", drives, "--out", tmp_path / "mine")
+        assert "DATA and --mix: expected each once" in line

@@ -210,6 +210,7 @@ def fine_tune(
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]
     mixed_in = {name: [split_folder(path, name) for path in mix] for name in _SPLITS}
+    check_each_once([*roots, *mixed_in["train"]], "DATA and --mix")
     check_apart([*roots, *mixed_in["train"]], [*val_splits, *mixed_in["val"]], data)
     given = recipe.model_dump(mode="json")
     del given["epochs"]  # those of the training follow from the number of samples
@@ -224,6 +225,7 @@ def fine_tune(
     own = joined(own_parts)
     if not own.num_labelled(POSITIVE):
         raise ValueError(f"{', '.join(map(str, roots))}: expected light artifacts among {len(own)} boxes, found none")
+    unlit: list[str] = []
     if not mix:
         shipped = read_old_samples(OLD_SAMPLES, recipe.inputs)
         old, judge = shipped.learn, shipped.judge
@@ -234,6 +236,7 @@ def fine_tune(
             for name in _SPLITS
         }
         old = chosen(drives["train"], NUM_SAMPLES)
+        unlit = [origin for name in _SPLITS for origin in without_light(sets[name], drives[name])]
         judge = tuple(
             HeldOut(str(path), part, np.ones(len(part), np.float32))
             for path, part in zip(mix, drives["val"], strict=True)
@@ -290,7 +293,8 @@ def fine_tune(
         "before_and_after": figures,
         "kept": kept,
         "samples": {"own": sample_counts(own), "mixed_in": sample_counts(old)},
-        "without_light": without_light([*learnt, *held_out], [*own_parts, *(part for _, _, part in parts[:-1])]),
+        "without_light": without_light([*learnt, *held_out], [*own_parts, *(part for _, _, part in parts[:-1])])
+        + unlit,
         "repeats": {"own": repeats, "mixed_in": old_repeats},
         "seconds": round(time.perf_counter() - started, 1),
     }
