@@ -165,7 +165,7 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
 
 
 def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_CONFIGURATION) -> list[str]:
-    """What to say of images of 16 bits that seem to be a camera's of fewer bits.
+    """What to say of images of 16 bits that seem to be a camera's of fewer bits, or of more than is said.
 
     Args:
         brightest: The greatest value of some images of 16 bits; None without any.
@@ -174,6 +174,9 @@ def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_C
     """
     from foreglow.beam.camera_watch import MOST_OF_12_BITS
 
+    if brightest is not None and white_level is not None and brightest > 2 * white_level:
+        words = "what is brighter counts as white; PGM and PPM files need no white_level, theirs is in their headers"
+        return [f"images of 16 bits, as bright as {brightest}, far beyond the white level of {white_level}: {words}"]
     if brightest is None or brightest > MOST_OF_12_BITS or white_level is not None:
         return []
     words = f"where white is 1023 or 4095, light is missed unless {means}"
