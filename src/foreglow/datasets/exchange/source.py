@@ -28,6 +28,7 @@ from foreglow.datasets.pvdn.splits import is_split
 from foreglow.datasets.source import OnError
 from foreglow.datasets.video import Video
 from foreglow.types import Frame
+from foreglow.types.white import full_scale
 
 PLACES = (".", "images", "../images")
 """Where the images of a file of labels may lie, seen from its folder, if nobody says where they are."""
@@ -225,7 +226,8 @@ class LabelFile(LabelledSource):
         check_near(self._images[image_id], (frame.width_px, frame.height_px), self.path)
         timestamp_ns = round(1e9 * self.time_s(image_id)) if self._video is None else frame.timestamp_ns
         directory = self._sequence_of[image_id].directory
-        return dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)
+        named = dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)
+        return full_scale(named, self.white_level)
 
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""
