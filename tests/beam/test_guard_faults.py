@@ -156,8 +156,9 @@ def test_white_and_black_of_12_to_16_bits(white_level: int | None, value: int, f
     assert next_check(guard, frame).faults == (GuardFault.RESIZED, *faults)
 
 
-def test_images_of_8_bits_fill_them_whatever_white_is() -> None:
-    assert not next_check(running(guard_config(white_level=4095)), frame_at(25)).faults
+def test_images_of_fewer_bits_than_white_has_are_black() -> None:
+    """They are not those of the camera that is described, or have lost their lower bits."""
+    assert_low(next_check(running(guard_config(white_level=4095)), frame_at(25)), GuardFault.BLACK)
 
 
 def test_black_image() -> None:

@@ -125,15 +125,13 @@ class CameraWatch:
         grid = image[row::step, column::step]
         sample, brightest = grid.ravel(), int(grid[middle(len(grid))].max())
         self._brightest = max(self._brightest, int(sample.max()))
-        white, most = self._config.white_level, int(np.iinfo(image.dtype).max)
-        if white is not None:
-            white = min(white, most)
+        white = self._config.white_level
         top = white or _top(image, self._brightest)
         num_white = np.count_nonzero(sample >= NEAR_TOP * top)
         is_saturated = num_white > self._config.max_saturated * sample.size
         rows = image[::EVERY_ROW]
         pieces = self._pieces.update(rows, top)
-        greatest = white or most
+        greatest = white or int(np.iinfo(image.dtype).max)
         is_black = brightest <= self._config.min_bright * greatest
         is_black |= not white and image.dtype == np.uint16 and self._may_have_few_bits(image)
         is_black |= not is_saturated and self._shows_nothing(pieces)
