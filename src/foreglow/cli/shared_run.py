@@ -184,7 +184,7 @@ def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_C
 
 
 def say_bits_of(data: Iterable[Path], white_level: int | None, means: str = BY_CONFIGURATION) -> None:
-    """Prints `bits_notes` of a few images of these data sets and splits; what is wrong with them is said later."""
+    """Prints `bits_notes` of a few images of the first split of each; what is wrong with them is said later."""
     import numpy as np
 
     from foreglow.datasets import open_labelled
@@ -194,10 +194,10 @@ def say_bits_of(data: Iterable[Path], white_level: int | None, means: str = BY_C
     greatest: list[int] = []
     for path in data:
         with contextlib.suppress(ValueError, OSError):
-            for split in map(open_labelled, splits_to_annotate(path)):
-                ids = split.frame_ids[:: max(1, len(split) // NUM_IMAGES)]
-                images = (split.read(image_id).image for image_id in ids)
-                greatest += [int(image.max()) for image in images if image.dtype == np.uint16]
+            split = open_labelled(splits_to_annotate(path)[0])
+            ids = split.frame_ids[:: max(1, len(split) // NUM_IMAGES)]
+            images = (split.read(image_id).image for image_id in ids)
+            greatest += [int(image.max()) for image in images if image.dtype == np.uint16]
     for line in bits_notes(max(greatest, default=None), white_level, means):
         typer.echo(line)
 

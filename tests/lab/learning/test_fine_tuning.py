@@ -307,6 +307,8 @@ def test_without_held_out_drives_and_with_the_samples_that_ship(
     (_, after), *_ = summary["before_and_after"].values()
     figures = "P {precision:.3f} R {recall:.3f} F {f1:.3f}".format(**after)
     assert f"{figures} at a score > 0.45" in done.output  # in the log as in the table
+    for name in ("precision", "recall", "f1"):
+        assert summary["validation"][name] == pytest.approx(after[name]), "and in the summary"
     assert not (out / "changes.jpg").exists()
 
 

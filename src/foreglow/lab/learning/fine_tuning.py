@@ -257,6 +257,9 @@ def fine_tune(
     judge_weights = np.concatenate([each.weights for each in judge])
     weights = [*(None for _ in held_out), judge_weights]
     is_old = np.repeat([False, True], [repeats * len(own), old_repeats * len(old)])
+    threshold = config.classifier.score_threshold
+    counts = np.concatenate([np.ones(len(judging) - len(judge_weights), np.float32), judge_weights])
+    counting = Counting(threshold, counts)
     result = train(
         recipe,
         joined([own] * repeats + [old] * old_repeats),
@@ -265,10 +268,7 @@ def fine_tune(
         make_network=lambda _: copy.deepcopy(start.network),
         about=about,
         teacher=Teacher(copy.deepcopy(start.network), is_old, OLD_WEIGHT),
-        counting=Counting(
-            config.classifier.score_threshold,
-            np.concatenate([np.ones(len(judging) - len(judge_weights), np.float32), judge_weights]),
-        ),
+        counting=counting,
         device=device,
         progress=progress,
     )
@@ -276,10 +276,9 @@ def fine_tune(
     result = dataclasses.replace(result, val_logits=score_samples(result.network, judging, chosen_device))
     result.network.cpu()
     after = np.split(light_scores(result.val_logits), np.cumsum([len(part) for _, _, part in parts])[:-1])
-    threshold = config.classifier.score_threshold
     judged = tuple(
-        Judged(name, images, part, scores, later, threshold, counts)
-        for (name, images, part), scores, later, counts in zip(parts, before, after, weights, strict=True)
+        Judged(name, images, part, scores, later, threshold, its_weights)
+        for (name, images, part), scores, later, its_weights in zip(parts, before, after, weights, strict=True)
     )
     figures = {each.name: [dataclasses.asdict(found) for found in each.figures()] for each in judged}
     summary = {
@@ -287,7 +286,7 @@ def fine_tune(
         "from": start.name,
         "from_sha256": start.digest,
         "mixed_in": [str(path) for path in mix] or OLD_SAMPLES.name,
-        **finish(recipe, result, judging, folder, threshold),
+        **finish(recipe, result, judging, folder, counting),
         "way": way,
         "threshold": threshold,
         "before_and_after": figures,

@@ -127,7 +127,7 @@ def train_model(
     summary = {
         "data": [str(path) for path in data],
         "teachers": {model.name: model.digest for model in models},
-        **finish(recipe, result, samples["val"], folder, config.classifier.score_threshold),
+        **finish(recipe, result, samples["val"], folder, Counting(config.classifier.score_threshold)),
         "samples": {name: sample_counts(split) for name, split in samples.items()},
         "without_light": [origin for name in names for origin in without_light(splits[name], parts[name])],
         "seconds": round(time.perf_counter() - started, 1),
@@ -173,7 +173,7 @@ def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: M
     return summary
 
 
-def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, threshold: float) -> dict[str, Any]:
+def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, counting: Counting) -> dict[str, Any]:
     """Calibrates the network, writes it as weights and as an ONNX model, compares the two, and rates it.
 
     Args:
@@ -181,7 +181,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, t
         result: What came of it.
         val: The validation samples.
         folder: Where to write.
-        threshold: Boxes with a score above it are accepted, in the figures and by the pipeline.
+        counting: How the figures count the validation samples; its threshold is the pipeline's.
 
     Returns:
         Figures for `summary.json`, by name.
@@ -213,7 +213,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, t
         "seed": recipe.seed,
         "num_epochs": len(result.epochs),
         "best_epoch": dataclasses.asdict(result.best),
-        "validation": _figures(logits, labels, calibrator, threshold),
+        "validation": _figures(logits, labels, calibrator, counting[is_labelled]),
         "largest_difference_of_export": difference,
         "model_bytes": len(model_bytes),
         "model_sha256": hashlib.sha256(model_bytes).hexdigest(),
@@ -247,13 +247,13 @@ def _sample_config(recipe: Recipe, config: PipelineConfig, split: SplitName) -> 
     return SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light)
 
 
-def _figures(logits: Any, labels: Any, calibrator: Calibrator, threshold: float) -> dict[str, Any]:
+def _figures(logits: Any, labels: Any, calibrator: Calibrator, counting: Counting) -> dict[str, Any]:
     """Figures of the validation boxes before and after calibration; precision, recall and F after it."""
     before, after = light_logits(logits), light_logits(calibrator.applied(logits))
     errors = [expected_calibration_error(expit(values), labels) for values in (before, after)]
     return {
-        **dataclasses.asdict(Counting(threshold).scores(after, labels)),
-        "threshold": threshold,
+        **dataclasses.asdict(counting.scores(after, labels)),
+        "threshold": counting.threshold,
         "temperature": calibrator.temperature,
         "shift": calibrator.shift,
         "log_loss": {"before": log_loss(before, labels), "after": log_loss(after, labels)},
