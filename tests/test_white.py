@@ -8,8 +8,10 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from foreglow.classifier.colour import redness
 from foreglow.config import GuardConfig, preset
 from foreglow.datasets import PVDN, shipped_drive
+from foreglow.datasets.images import red_chroma, to_grey
 from foreglow.pipeline import Pipeline
 from foreglow.types import Frame
 from foreglow.types.white import full_scale
@@ -48,3 +50,16 @@ def test_brighter_than_white_is_white_and_the_earlier_image_follows() -> None:
 def test_images_that_fill_their_type_stay_as_they_are(white_level: int | None) -> None:
     frame = Frame(np.zeros((2, 3), np.uint8), 0)
     assert full_scale(frame, white_level) is frame
+
+
+def test_red_light_is_as_red() -> None:
+    """Its grey grew and its chroma did not, so that every rear lamp was called a front one."""
+    colours = np.zeros((40, 60, 3), np.uint16)
+    colours[:] = (160, 160, 160)
+    colours[10:20, 10:20] = (3000, 400, 300)
+    boxes = np.array([[10, 10, 20, 20], [30, 10, 40, 20]], np.int32)
+    few = Frame(to_grey(colours), 0, red_chroma=red_chroma(colours))
+    wide = (colours.astype(np.float64) * (65535 / 4095)).astype(np.uint16)
+    whole = Frame(to_grey(wide), 0, red_chroma=red_chroma(wide))
+    assert redness(whole, boxes)[0] > 0.5
+    np.testing.assert_allclose(redness(full_scale(few, 4095), boxes), redness(whole, boxes), atol=0.15)

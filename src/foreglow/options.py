@@ -53,6 +53,10 @@ PaperModelOption = Annotated[
 ]
 DeviceOption = Annotated[str, option("auto|cpu|cuda", "Device to train on.")]
 QualityOption = Annotated[str, option("fast|training|fine", "Quality of the rendering.")]
+WhiteOption = Annotated[
+    int | None,
+    option("N", "White of the camera, such as 4095 for 12 bits (default: that of the images' type).", min=1, max=65535),
+]
 PatienceOption = Annotated[int | None, option("N", "Stop when N epochs in a row brought no better model.", min=1)]
 
 

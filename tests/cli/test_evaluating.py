@@ -84,6 +84,15 @@ def test_points_outside_the_image_are_told(split: Path, predictions: Path) -> No
     assert "outside the image, so that no box finds them: 1 key point;" in foreglow_command(*words).stdout
 
 
+def test_a_split_that_nobody_has_labelled_is_told(split: Path, predictions: Path, tmp_path: Path) -> None:
+    for path in (split / "labels/keypoints").iterdir():
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"annotations": []}))
+    done = foreglow_command("evaluate", split, "--predictions", predictions, "--json", tmp_path / "found.json")
+    assert done.exit_code == 0, done.output
+    assert "no key point in 2 images, so that only false boxes are judged: is the split labelled?" in done.stdout
+    assert "best F – at threshold –; average precision –" in done.stdout, "no threshold is better than another"
+
+
 def test_points_that_are_there_several_times_are_told(split: Path, predictions: Path) -> None:
     words = ("evaluate", split, "--predictions", predictions)
     assert "counted again" not in foreglow_command(*words).stdout

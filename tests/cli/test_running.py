@@ -348,7 +348,8 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
 
 
 @pytest.mark.parametrize(
-    ("factor", "white_level", "is_told"), [(16, None, True), (16, 4080, False), (64, None, True), (257, None, False)]
+    ("factor", "white_level", "is_told"),
+    [(16, None, True), (16, 4080, False), (64, None, True), (257, None, False), (257, 4095, False)],
 )
 @pytest.mark.parametrize(("command", "out"), [("run", "out"), ("record", "out.mcap")])
 def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
@@ -363,6 +364,8 @@ def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
     ran = foreglow_command(command, images, "--out", tmp_path / out, "--config", config)
     assert ran.exit_code == 0
     assert ("images of 16 bits, none brighter than" in ran.stdout) is is_told
+    is_beyond = white_level is not None and factor > 16
+    assert ("far beyond the white level of" in ran.stdout) is is_beyond, "all is white, as with the white of a PGM"
 
 
 def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Path) -> None:

@@ -68,7 +68,7 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     out = tmp_path / "run"
     done = foreglow_command(*options, "--out", out, "--epochs", 12, "--seed", 5)
     assert done.exit_code == 0, done.output
-    assert "train: 24 boxes with light, 48 without, 0 doubtful" in done.stdout
+    assert "train: 12 boxes with light, 24 without, 0 doubtful" in done.stdout, "copies are no boxes of their own"
     names = {path.name for path in out.iterdir()}
     assert names == {
         *("model.onnx", "weights.pt", "checkpoint.pt", "summary.json", "recipe.toml", "config.toml"),
@@ -82,6 +82,9 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     figures = summary["validation"]
     assert f"and shift {figures['shift']:.2f}: calibration error" in done.stdout
     assert f"calibrated: P {figures['precision']:.3f}, R {figures['recall']:.3f}, F {figures['f1']:.3f}" in done.stdout
+    threshold = read_config(out / "config.toml").classifier.score_threshold
+    assert f" at a score of {threshold:g}\n" in done.stdout
+    assert figures["threshold"] == threshold
     assert summary["model_bytes"] == (out / "model.onnx").stat().st_size
     assert {"version", "commit", "has_local_changes", "seconds", "device", "data"} <= summary.keys()
     with (out / "curves.csv").open(newline="") as file:
@@ -289,9 +292,10 @@ def test_a_figure_that_is_undefined_is_a_dash(capsys: pytest.CaptureFixture[str]
         bar.epoch(Epoch(1, 0.1, 0.5, 0.25, math.nan, 0.0, math.nan, math.nan, 2.0), 3)
     assert "P – R 0.000 F – at a score > 0.5" in capsys.readouterr().err
     figures: dict[str, Any] = {"temperature": 1.0, "shift": 0.0, "calibration_error": {"before": 0.5, "after": 0.25}}
-    figures |= {"precision": math.nan, "recall": 0.0, "f1": math.nan}
+    figures |= {"precision": math.nan, "recall": 0.0, "f1": math.nan, "threshold": 0.5}
     counts = {name: {"positive": 1, "negative": 1, "ignored": 0} for name in ("train", "val")}
     summary = {"samples": counts, "validation": figures, "best_epoch": {"number": 1}, "num_epochs": 1}
+    summary |= {"recipe": {"jitter": {"num_copies": 0}}, "without_light": []}
     assert "calibrated: P –, R 0.000, F – at a score" in "\n".join(_training_lines(summary, Path()))
 
 
@@ -308,6 +312,12 @@ def test_data_without_a_light_are_named(tmp_path: Path, options: list[object]) -
         path.write_text(json.dumps(json.loads(path.read_text()) | {"annotations": []}))
     line = complaint("train", data, *options[2:], "--out", tmp_path / "run")
     assert re.search(rf"{data}/day/train: expected light artifacts among \d+ boxes, found none", line)
+    more = make_drives(tmp_path / "more", num_images=2)
+    done = foreglow_command("train", data, more, *options[2:], "--out", tmp_path / "run", "--epochs", 1)
+    assert done.exit_code == 0, done.output
+    assert f"{data}/day/train: no box with light: it says that nothing in it is light of a vehicle" in done.stdout
+    assert f"{data}/day/val" not in done.stdout
+    assert f"{more}/day" not in done.stdout
 
 
 @pytest.mark.parametrize("missing", ["torch", "onnx"])

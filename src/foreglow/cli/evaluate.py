@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.shared_run import run_in_parallel, say_lack
+from foreglow.cli.shared_run import bits_notes, look_sink, run_in_parallel, say_lack
 from foreglow.command_line import argument, file, flag, folder, option, output_file, with_options
 from foreglow.options import PipelineOptions, WorkerOptions
 from foreglow.own_files import QUALITY
@@ -149,7 +149,11 @@ def _examined_model(
     labels = read_split_labels(dataset, with_shares=True)
     with tempfile.TemporaryDirectory() as temporary:
         folder = out or Path(temporary)
-        summary = run_in_parallel(Opening(open_labelled, (split,)), str(split), folder, configuration, workers)
+        looks = look_sink(dataset, None, configuration)
+        opening = Opening(open_labelled, (split,))
+        summary = run_in_parallel(opening, str(split), folder, configuration, workers, looks)
+        for line in bits_notes(looks.brightest, configuration.guard.white_level):
+            typer.echo(line)
         if not summary.is_complete:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from foreglow.cli.app import app
+from foreglow.cli.shared_run import BY_OPTION, say_bits_of
 from foreglow.command_line import argument, file, folder, option, output_file, shared_folder, with_options
 from foreglow.folder_lock import locked
-from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WorkerOptions
+from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WhiteOption, WorkerOptions
 from foreglow.outputs import check_outputs
 from foreglow.own_files import ANNOTATION, MODEL, RANGE_MODEL
 
@@ -49,6 +50,7 @@ def annotate(
     configuration = PipelineOptions(preset=preset, config=config).configuration()
     check_each_once(split or (), "--split")
     roots = splits_to_annotate(data, tuple(split or ()))
+    say_bits_of(roots, configuration.guard.white_level)
     annotations: list[Annotation] = []
     done: dict[Path, tuple[int, int]] = {}
     try:
@@ -120,6 +122,7 @@ def tune(
     objective: Annotated[str, option("q|q-only|light", "What to minimise.")] = "q",
     space: Annotated[str | None, option("paper|wide", "Parameters to vary (default: those of the objective).")] = None,
     seed: Annotated[int, option("N", "Seed of the search; with one job it repeats the same trials.", min=0)] = 0,
+    white_level: WhiteOption = None,
     storage: Annotated[
         str | None, option("FILE|URL", "Optuna's journal or database, for many machines (default: in DIR).")
     ] = None,
@@ -138,10 +141,10 @@ def tune(
     require_matplotlib()
     if storage is not None and "://" not in storage:
         check_outputs({"DATA": data}, {"--storage": Path(storage)}, {})
-    settings = TuningSettings(
-        num_trials=trials, num_images=images, objective=objective, space=space, seed=seed, storage=storage
-    )
+    settings = TuningSettings(trials, images, objective, space, seed, storage=storage, white_level=white_level)
+    say_bits_of([data], white_level, BY_OPTION)
     with StepProgress() as progress:
+        settings = dataclasses.replace(settings, white_level=white_level)
         tuning = search(data, out, settings, progress, workers=work.workers())
     report = write_report(tuning, out)
     typer.echo("\n".join([*_tuning_lines(tuning), *beside_paper("tune", out / "summary.json")]))
@@ -151,6 +154,7 @@ def tune(
 def _tuning_lines(tuning: Tuning) -> list[str]:
     """What came of a parameter search, compared with the paper's parameters."""
     from foreglow.display.summary_lines import counted
+    from foreglow.lab.reports.page import number
 
     chosen, paper = tuning.chosen, tuning.paper
     num_pruned = sum(trial.state == "PRUNED" for trial in tuning.trials)
@@ -167,7 +171,8 @@ def _tuning_lines(tuning: Tuning) -> list[str]:
         found, beside = getattr(chosen, split), getattr(paper, split)
         if found is not None:
             names = {"q": "q", "recall": "R", "boxes_per_image": "boxes an image"}
-            parts = (f"{label} {found.figures[n]:.3f} (paper {beside.figures[n]:.3f})" for n, label in names.items())
+            mine, its = ({name: number(each.figures[name], 3) for name in names} for each in (found, beside))
+            parts = (f"{label} {mine[name]} (paper {its[name]})" for name, label in names.items())
             lines.append(f"{split}: {', '.join(parts)}")
     return lines
 
@@ -258,6 +263,7 @@ def train(
         raise ValueError(f"{', '.join(map(str, data))}: expected each data set once")
     check_each_once(mix or (), "--mix")
     check_each_once(teacher or (), "--teacher")
+    say_bits_of(data, configuration.guard.white_level)
     try:
         with TrainingBar() as progress:
             how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}
@@ -308,15 +314,12 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     from foreglow.lab.reports.page import number
     from foreglow.lab.reports.training_pictures import draw_changes
 
-    counts, threshold = summary["samples"], summary["threshold"]
-    own, old = ({name: part[name] for name in ("positive", "negative")} for part in (counts["own"], counts["mixed_in"]))
-    typer.echo(
-        f"learnt from {own['positive']} boxes with light and {own['negative']} without, "
-        f"{old['positive']} and {old['negative']} mixed in"
-    )
+    own, old = _boxes_of(summary["samples"]["own"], summary["recipe"]), summary["samples"]["mixed_in"]
+    mixed = f"{old['positive']} and {old['negative']} mixed in"
+    typer.echo(f"learnt from {own['positive']} boxes with light and {own['negative']} without, {mixed}")
     table = Table(
         *("", "boxes", "", "P", "R", "F", "AP"),
-        title=f"boxes that it has not learnt from, score > {threshold:g}",
+        title=f"boxes that it has not learnt from, score > {summary['threshold']:g}",
         caption="precision, recall, F, average precision",
         title_justify="left",
         caption_justify="left",
@@ -330,7 +333,7 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
             table.add_row(name, count, when, *(number(value, 3) for value in dataclasses.astuple(figures)))
         table.add_section()
     rich.print(table)
-    for line in _worse_lines(judged):
+    for line in (*_unlit_lines(summary), *_worse_lines(judged)):
         typer.echo(line)
     if len(judged) == 1:
         typer.echo("no drives of yours are held out: label one more into DATA/val to see what it gained on them")
@@ -347,6 +350,17 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     if start.tells_direct:
         typer.echo(f"the new model does not tell lamps from their light, as {start.name} does")
     typer.echo(f"look in {folder}; use it with foreglow run SOURCE --config {folder}/config.toml")
+
+
+def _boxes_of(counts: dict[str, int], recipe: dict[str, Any]) -> dict[str, int]:
+    """How many boxes have each label, of the numbers of samples: copies of boxes are samples, too."""
+    return {label: number // (1 + recipe["jitter"]["num_copies"]) for label, number in counts.items()}
+
+
+def _unlit_lines(summary: dict[str, Any]) -> list[str]:
+    """A line for each split of a training without any box with light, as one that nobody has labelled."""
+    words = "no box with light: it says that nothing in it is light of a vehicle; is it labelled?"
+    return [f"{each}: {words}" for each in summary["without_light"]]
 
 
 def _worse_lines(judged: Sequence[Judged]) -> list[str]:
@@ -374,18 +388,20 @@ def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
     from foreglow.display.summary_lines import counted
     from foreglow.lab.reports.page import number
 
-    counts, figures, best = summary["samples"], summary["validation"], summary["best_epoch"]
+    figures, best = summary["validation"], summary["best_epoch"]
+    counts = summary["samples"] | {"train": _boxes_of(summary["samples"]["train"], summary["recipe"])}
     lines = [
         f"{name}: {counted(counts[name]['positive'], 'box')} with light, {counts[name]['negative']} without, "
         f"{counts[name]['ignored']} doubtful and left out"
         for name in ("train", "val")
     ]
+    lines += _unlit_lines(summary)
     lines += [
         f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}",
         f"calibrated with temperature {figures['temperature']:.2f} and shift {figures['shift']:.2f}: calibration error "
         f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
         f"on the validation boxes, calibrated: P {number(figures['precision'], 3)}, R {number(figures['recall'], 3)}, "
-        f"F {number(figures['f1'], 3)} at a score of 0.5",
+        f"F {number(figures['f1'], 3)} at a score of {figures['threshold']:g}",
     ]
     if not (folder / "curves.png").is_file():
         lines.append("no picture of the curves: it needs pip install 'foreglow[plots]'")
@@ -421,7 +437,7 @@ def import_weights(
             "TOLERANCE",
             "Remove channels as long as no score changes by more than this, such as 1e-3.",
             min=0.0,
-            max=1.0,
+            max=0.999,
         ),
     ] = None,
 ) -> None:

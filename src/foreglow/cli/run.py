@@ -69,6 +69,7 @@ def run(
     from foreglow.runtime import Opening
 
     workers, configuration = work.workers(), pipeline.configuration()
+    white_level = configuration.guard.white_level
     if out is None:
         out = folder_beside(source)
         files = {"--record": record, "--save": viewer.save}
@@ -85,13 +86,13 @@ def run(
                 "frame by frame"
             )
         frames = opening()
-        looks = look_sink(frames, None)
+        looks = look_sink(frames, None, configuration)
         summary = run_in_parallel(opening, str(source), out, configuration, workers, looks)
-        notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
-        finish(summary, out, *notes, *bits_notes(looks, configuration), expectation(looks.profile, configuration))
+        notes = [*source_notes(frames), *unused_lines(vehicle, summary), *bits_notes(looks.brightest, white_level)]
+        finish(summary, out, *notes, expectation(looks.profile, configuration))
         return
     frames = opening()
-    looks = look_sink(frames, reading.limit)
+    looks = look_sink(frames, reading.limit, configuration)
 
     def make_sinks(results: OutputFolder) -> Iterator[ResultSink]:
         yield looks
@@ -102,8 +103,8 @@ def run(
 
     stepper = Pipeline(configuration)
     summary = run_frames(frames, str(source), out, stepper, make_sinks=make_sinks, limit=reading.limit)
-    notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
-    finish(summary, out, *notes, *bits_notes(looks, configuration), expectation(looks.profile, configuration))
+    notes = [*source_notes(frames), *unused_lines(vehicle, summary), *bits_notes(looks.brightest, white_level)]
+    finish(summary, out, *notes, expectation(looks.profile, configuration))
 
 
 @app.command()
@@ -122,7 +123,7 @@ def record(
 
     stepper = Pipeline(pipeline.configuration())
     frames = vehicle.equip(reading.open(source), reading.limit)
-    looks = look_sink(frames, reading.limit)
+    looks, white_level = look_sink(frames, reading.limit, stepper.config), stepper.config.guard.white_level
     sinks: list[ResultSink] = [progress_sink(frames, reading.limit), looks]
     if ros2:
         from foreglow.runtime.ros2.bag import BagRecorder
@@ -131,5 +132,5 @@ def record(
     else:
         sinks += recording_sinks(out, source, stepper.config)
     summary = runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source))
-    notes = [*source_notes(frames), *unused_lines(vehicle, summary), *bits_notes(looks, stepper.config)]
+    notes = [*source_notes(frames), *unused_lines(vehicle, summary), *bits_notes(looks.brightest, white_level)]
     finish(summary, out, *notes)

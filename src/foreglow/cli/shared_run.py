@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import itertools
 from collections.abc import Callable, Iterable
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 0.9
 """A log that tells our motion in so many frames of a run is as ever: one begins or ends a little before the other."""
+
+BY_CONFIGURATION = "the configuration says so ([guard] white_level)"
+BY_OPTION = "--white-level says so"
 
 WINDOW_S = 20.0
 """How far back the plots of the viewer's window go."""
@@ -156,12 +160,12 @@ def folder_beside(source: Path) -> Path:
     return out
 
 
-def look_sink(frames: FrameSource, limit: int | None) -> LookSink:
+def look_sink(frames: FrameSource, limit: int | None, configuration: PipelineConfig) -> LookSink:
     """The sink that looks at a few frames, to tell what camera they resemble."""
     from foreglow.lab.simulation.camera.likeness import LookSink
 
     nums = [num for num in (frames.num_frames, limit) if num is not None]
-    return LookSink(min(nums) if nums else None)
+    return LookSink(min(nums) if nums else None, configuration.guard.white_level)
 
 
 def expectation(profile: str | None, configuration: PipelineConfig) -> str:
@@ -175,17 +179,42 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
 
 
-def bits_notes(looks: LookSink, configuration: PipelineConfig) -> list[str]:
-    """What to say of images of 16 bits that seem to be a camera's of fewer bits."""
+def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_CONFIGURATION) -> list[str]:
+    """What to say of images of 16 bits that seem to be a camera's of fewer bits, or of more than is said.
+
+    Args:
+        brightest: The greatest value of some images of 16 bits; None without any.
+        white_level: That of the camera, as far as it is given.
+        means: How it can be given.
+    """
     from foreglow.beam.camera_watch import MOST_OF_FEW_BITS
 
-    brightest = looks.brightest
-    if brightest is None or brightest > MOST_OF_FEW_BITS or configuration.guard.white_level is not None:
+    if brightest is not None and white_level is not None and brightest > 2 * white_level:
+        words = "what is brighter counts as white; PGM and PPM files need no white_level, theirs is in their headers"
+        return [f"images of 16 bits, as bright as {brightest}, far beyond the white level of {white_level}: {words}"]
+    if brightest is None or brightest > MOST_OF_FEW_BITS or white_level is not None:
         return []
-    return [
-        f"images of 16 bits, none brighter than {brightest}: where white is 1023, 4095 or 16383, light is missed "
-        "unless the configuration says so ([guard] white_level)"
-    ]
+    words = f"where white is 1023, 4095 or 16383, light is missed unless {means}"
+    return [f"images of 16 bits, none brighter than {brightest}: {words}"]
+
+
+def say_bits_of(data: Iterable[Path], white_level: int | None, means: str = BY_CONFIGURATION) -> None:
+    """Prints `bits_notes` of a few images of the first split of each; what is wrong with them is said later."""
+    import numpy as np
+
+    from foreglow.datasets import open_labelled
+    from foreglow.lab.learning.annotation import splits_to_annotate
+    from foreglow.lab.simulation.camera.likeness import NUM_IMAGES
+
+    greatest: list[int] = []
+    for path in data:
+        with contextlib.suppress(ValueError, OSError):
+            split = open_labelled(splits_to_annotate(path)[0])
+            ids = split.frame_ids[:: max(1, len(split) // NUM_IMAGES)]
+            images = (split.read(image_id).image for image_id in ids)
+            greatest += [int(image.max()) for image in images if image.dtype == np.uint16]
+    for line in bits_notes(max(greatest, default=None), white_level, means):
+        typer.echo(line)
 
 
 def progress_sink(frames: FrameSource, limit: int | None) -> ResultSink:

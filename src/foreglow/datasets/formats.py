@@ -98,8 +98,12 @@ def format_of(path: Path) -> str:
     return next(name for name, each in FORMATS.items() if each.is_at(path))
 
 
-def open_labelled(path: Path | str) -> LabelledSource:
+def open_labelled(path: Path | str, white_level: int | None = None) -> LabelledSource:
     """The data set with labels at `path`: a split, a sequence of it, or a folder with a single split.
+
+    Args:
+        path: A file or folder.
+        white_level: That of the pipeline, for what looks at the images without one; see `LabelledSource.seen_by`.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`, or a label file is missing.
@@ -108,5 +112,5 @@ def open_labelled(path: Path | str) -> LabelledSource:
     path = checked_path(path)
     for each in FORMATS.values():
         if each.labelled is not None and path.exists() and each.is_at(path):
-            return each.labelled(path)
+            return each.labelled(path).seen_by(white_level)
     return PVDN(path)  # raises, and says what is missing

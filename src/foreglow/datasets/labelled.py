@@ -32,11 +32,13 @@ class LabelledSource(FileSource, ABC):
         root: Its folder.
         rate_hz: Frames a second within a sequence.
         frame_ids: Ids of the selected images, in order.
+        white_level: White of the camera, by which its frames come at full scale; None for images as they are.
     """
 
     root: Path
     rate_hz: float
     frame_ids: tuple[int, ...]
+    white_level: int | None = None
 
     @property
     @abstractmethod
@@ -151,6 +153,13 @@ class LabelledSource(FileSource, ABC):
         part.frame_ids = tuple(id_ for id_ in self.frame_ids if id_ in image_ids)
         part.skipped = []
         return part
+
+    def seen_by(self, white_level: int | None) -> Self:
+        """The same images as a pipeline with this `guard.white_level` sees them: for what looks at them without one."""
+        seen = copy.copy(self)
+        seen.white_level = white_level
+        seen.skipped = []
+        return seen
 
     def keypoints_px(self, image_id: int) -> NDArray[np.int32]:
         """Positions of all instances in image `image_id`, shape (K, 2), int32, columns x and y, full-frame pixels.

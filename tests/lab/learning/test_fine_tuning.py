@@ -307,6 +307,8 @@ def test_without_held_out_drives_and_with_the_samples_that_ship(
     (_, after), *_ = summary["before_and_after"].values()
     figures = "P {precision:.3f} R {recall:.3f} F {f1:.3f}".format(**after)
     assert f"{figures} at a score > 0.45" in done.output  # in the log as in the table
+    for name in ("precision", "recall", "f1"):
+        assert summary["validation"][name] == pytest.approx(after[name]), "and in the summary"
     assert not (out / "changes.jpg").exists()
 
 
@@ -363,3 +365,34 @@ def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypat
 )
 def test_what_does_not_go_together_is_said(drives: Path, tmp_path: Path, options: list[str], message: str) -> None:
     assert message in complaint("train", drives, "--out", tmp_path / "mine", *options)
+
+
+def test_drives_that_nobody_has_labelled_teach_nothing(
+    tmp_path: Path, drives: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All light in them would be learnt as light of no vehicle."""
+    model_at(tmp_path / "start.onnx", NARROW, 1)
+    data = make_drives(tmp_path / "data", num_images=2)
+    for path in data.glob("day/*/labels/keypoints/*.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"annotations": []}))
+    options = ["--from", tmp_path / "start.onnx", "--config", drives.parent / "config.toml", "--device", "cpu"]
+    options += ["--out", tmp_path / "mine", "--epochs", 1]
+    assert f"{data}/day/train: expected light artifacts among" in complaint("train", data, *options)
+    monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)
+    monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
+    done = foreglow_command("train", drives / "day/train", data, *options)
+    assert done.exit_code == 0, done.output
+    mixed = foreglow_command("train", drives, *options, "--mix", data, "--out", tmp_path / "mixed")
+    assert mixed.exit_code == 0, mixed.output
+    for split in ("train", "val"):
+        for told in (done.stdout, mixed.stdout):
+            assert f"{data}/day/{split}: no box with light: it says that nothing in it is light of a vehicle" in told
+
+
+def test_nothing_is_learnt_and_kept_as_it_was(tmp_path: Path, drives: Path) -> None:
+    """What is mixed in has the old model's word for targets, against the labels."""
+    model_at(tmp_path / "start.onnx", NARROW, 1)
+    options = ["--from", tmp_path / "start.onnx", "--config", drives.parent / "config.toml", "--device", "cpu"]
+    for data in (drives, drives / "day/train"):
+        line = complaint("train", data, *options, "--mix", drives, "--out", tmp_path / "mine")
+        assert "DATA and --mix: expected each once" in line

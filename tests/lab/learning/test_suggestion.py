@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foreglow.lab.learning import suggestion
 from foreglow.lab.learning.suggestion import (
     Suggestion,
     rated,
@@ -68,6 +69,16 @@ def test_drives_take_turns_and_moments_keep_apart() -> None:
     assert sum(each.frame >= 50 for each in chosen[1]) >= 4, "its better half"
 
 
+@pytest.mark.parametrize(("num_frames", "gap"), [(60, 1), (40, 2), (20, 3), (119, 1)])
+def test_frames_of_one_moment_are_not_all_named(num_frames: int, gap: int) -> None:
+    """Of 60 frames that are as good, the first 20 were named: they show the same."""
+    values = [0.9] * 60 + [0.5] * 60
+    (chosen,) = suggested([drive_of("a", values)], num_frames)
+    frames = [each.frame for each in chosen]
+    assert len(frames) == num_frames, "no fewer than are wanted"
+    assert np.diff(frames).min() >= gap
+
+
 def test_no_more_are_named_than_there_are() -> None:
     assert suggested([drive_of("a", [0.1, 0.2]), drive_of("b", [0.3])], 9) == [
         drive_of("a", [0.1, 0.2]), drive_of("b", [0.3]),
@@ -93,6 +104,17 @@ def test_strange_images_are_unlike(tmp_path: Path) -> None:
     assert min(unlike.values()) > 0.5
     (drive,), (before,) = rated(run, unlike), rated(run)
     assert drive[0].value > before[0].value
+
+
+def test_a_drive_is_not_taken_for_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first frames had what the last look at the drive before had found."""
+    strange = np.random.default_rng(0).integers(0, 256, (96, 128)).astype(np.uint8)
+    images = {"S1": strange, "S2": np.zeros((96, 128), np.uint8)}
+    frames = [Frame(images[f"S{1 + number // 3}"], number, number, f"S{1 + number // 3}") for number in range(6)]
+    monkeypatch.setattr(suggestion, "open_run", lambda _: frames)
+    monkeypatch.setattr(suggestion, "nearest_profile", lambda look: ("", 9.0 * (look[4] > -10)))  # some is bright
+    unlike = unlikeness(read_run(run_of(tmp_path, {"S1": [[0.9]] * 3, "S2": [[0.9]] * 3})))
+    assert [unlike[number] for number in range(6)] == [1, 1, 1, 0, 0, 0]
 
 
 def test_frames_of_another_sequence_are_others(tmp_path: Path) -> None:

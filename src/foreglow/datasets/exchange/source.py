@@ -41,6 +41,7 @@ from foreglow.datasets.pvdn.splits import is_split
 from foreglow.datasets.source import OnError
 from foreglow.datasets.video import Video
 from foreglow.types import Frame
+from foreglow.types.white import full_scale
 
 PLACES = (".", "images", "../images")
 """Where the images of a file of labels may lie, seen from its folder, if nobody says where they are."""
@@ -229,7 +230,7 @@ class LabelFile(LabelledSource):
         """A line if there are lights of which nobody says of which vehicle they are."""
         marks = [mark for image in self.labels.images for mark in image.marks if mark.kind == Kind.LIGHT]
         num_alone = sum(mark.oid is None and mark.iid is None and mark.track is None for mark in marks)
-        words = f"{num_alone} of {len(marks)} lights have neither oid nor iid: each is of a vehicle of its own"
+        words = f"{num_alone} of {len(marks)} lights have neither oid nor iid: each is of a vehicle of its own, hidden if it is no lamp"
         return [words] if num_alone else []
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
@@ -292,7 +293,8 @@ class LabelFile(LabelledSource):
         if earlier is not None:
             is_alike = (earlier.image.shape, earlier.image.dtype) == (frame.image.shape, frame.image.dtype)
             earlier = dataclasses.replace(earlier, sequence=directory) if is_alike else None
-        return dataclasses.replace(frame, frame=image_id, sequence=directory, earlier=earlier)
+        named = dataclasses.replace(frame, frame=image_id, sequence=directory, earlier=earlier)
+        return full_scale(named, self.white_level)
 
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""

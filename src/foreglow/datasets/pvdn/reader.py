@@ -35,6 +35,7 @@ from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import equip
 from foreglow.files import check_is_folder, checked_path
 from foreglow.types import Frame
+from foreglow.types.white import full_scale
 from foreglow.wording import shortened
 
 PVDN_RATE_HZ = 18.0
@@ -177,7 +178,8 @@ class PVDN(LabelledSource):
                 f"got {image.shape[1]}x{image.shape[0]} px"
             )
         timestamp_ns = round(sequence.start_time_ms * 1_000_000) + round((self.time_s(image_id) - age_s) * 1e9)
-        return Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
+        frame = Frame(image, timestamp_ns, frame=image_id, sequence=sequence.directory, path=str(path))
+        return full_scale(frame, self.white_level)
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`; every image has a keypoint file, also without vehicles."""

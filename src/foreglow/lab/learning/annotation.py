@@ -149,11 +149,13 @@ class _Record(FrozenModel):
     preset: str
     is_complete: bool
     proposals: dict[str, Any]
+    white_level: int | None = None
     sequences: tuple[_SequenceRecord, ...] = ()
 
     def is_made_like(self, other: _Record) -> bool:
         """Whether both give the same boxes; names and progress do not matter."""
-        return (self.version, self.proposals) == (other.version, other.proposals)
+        same = ("version", "proposals", "white_level")
+        return all(getattr(self, name) == getattr(other, name) for name in same)
 
 
 def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[Path, ...]:
@@ -262,12 +264,14 @@ def _annotated(
     folder.mkdir(parents=True, exist_ok=True)
     parameters = config.proposals.model_dump(exclude_none=True, exclude={"backend", "dispatch"})
     parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}
+    white_level = config.guard.white_level
     record = _Record(version=version("foreglow"), preset=preset, is_complete=False, proposals=parameters)
+    record = record.model_copy(update={"white_level": white_level})
     done = _kept(dataset, earlier, record)
     tell = progress or (lambda task, num_done, num_all: None)  # noqa: ARG005
     directories = [sequence.directory for sequence in dataset.sequences]
     todo = {directory: directory for directory in directories if directory not in done}
-    work = functools.partial(_annotate_sequence, dataset.root, config.proposals, uuid.uuid4().hex)
+    work = functools.partial(_annotate_sequence, dataset.root, config.proposals, white_level, uuid.uuid4().hex)
     write_atomic(folder.with_name(CHECKSUMS), checksums_file(checksums, folder.parent))
     made = (workers or Local()).each(work, todo, lambda *_: None, paths=(dataset.root,))
     for directory, finished in itertools.chain([("", None)], made):
@@ -292,10 +296,10 @@ def _annotated(
 
 
 def _annotate_sequence(
-    root: Path, config: ProposalConfig, call: str, directory: str, parent: Parent
+    root: Path, config: ProposalConfig, white_level: int | None, call: str, directory: str, parent: Parent
 ) -> tuple[_SequenceRecord, dict[str, bytes]]:
     """The record of a sequence, and what its files of boxes hold, by their paths in `labels`."""
-    dataset, proposer = _dataset(root, call), make_proposer(config)
+    dataset, proposer = _dataset(root, call).seen_by(white_level), make_proposer(config)
     counts, files = [], {}
     image_ids = dataset.only(directory).frame_ids
     sources = _sources(dataset, image_ids)

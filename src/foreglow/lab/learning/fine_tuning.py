@@ -37,6 +37,7 @@ from foreglow.lab.learning.training_run import (
     finish,
     labelled_samples,
     sample_counts,
+    without_light,
     write_results,
 )
 from foreglow.models import OLD_SAMPLES
@@ -195,8 +196,8 @@ def fine_tune(
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If there is no such device, a split is broken or must not be learnt from, or the folder holds
-            another training, or one with a changed text.
+        ValueError: If there is no such device, a split is broken or must not be learnt from, no box of DATA has light,
+            or the folder holds another training, or one with a changed text.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     from foreglow.lab.learning.checkpoints import check_begun
@@ -209,25 +210,33 @@ def fine_tune(
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]
     mixed_in = {name: [split_folder(path, name) for path in mix] for name in _SPLITS}
+    check_each_once([*roots, *mixed_in["train"]], "DATA and --mix")
     check_apart([*roots, *mixed_in["train"]], [*val_splits, *mixed_in["val"]], data)
     given = recipe.model_dump(mode="json")
     del given["epochs"]  # those of the training follow from the number of samples
-    check_begun(folder, given | {"start": start.digest})
+    camera = {"white_level": config.guard.white_level}
+    about = {"start": start.digest, **camera}
+    check_begun(folder, given | about)
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
-    learnt = [open_labelled(root) for root in roots]
-    held_out = [open_labelled(path) for path in val_splits]
-    own = joined([labelled_samples(each, recipe, config, "train", cache, progress) for each in learnt])
+    learnt = [open_labelled(root, **camera) for root in roots]
+    held_out = [open_labelled(path, **camera) for path in val_splits]
+    own_parts = [labelled_samples(each, recipe, config, "train", cache, progress) for each in learnt]
+    own = joined(own_parts)
+    if not own.num_labelled(POSITIVE):
+        raise ValueError(f"{', '.join(map(str, roots))}: expected light artifacts among {len(own)} boxes, found none")
+    unlit: list[str] = []
     if not mix:
         shipped = read_old_samples(OLD_SAMPLES, recipe.inputs)
         old, judge = shipped.learn, shipped.judge
     else:
-        sets = {name: [open_labelled(path) for path in mixed_in[name]] for name in _SPLITS}
+        sets = {name: [open_labelled(path, **camera) for path in mixed_in[name]] for name in _SPLITS}
         drives = {
             name: [labelled_samples(each, recipe, config, name, cache, progress) for each in sets[name]]
             for name in _SPLITS
         }
         old = chosen(drives["train"], NUM_SAMPLES)
+        unlit = [origin for name in _SPLITS for origin in without_light(sets[name], drives[name])]
         judge = tuple(
             HeldOut(str(path), part, np.ones(len(part), np.float32))
             for path, part in zip(mix, drives["val"], strict=True)
@@ -248,18 +257,18 @@ def fine_tune(
     judge_weights = np.concatenate([each.weights for each in judge])
     weights = [*(None for _ in held_out), judge_weights]
     is_old = np.repeat([False, True], [repeats * len(own), old_repeats * len(old)])
+    threshold = config.classifier.score_threshold
+    counts = np.concatenate([np.ones(len(judging) - len(judge_weights), np.float32), judge_weights])
+    counting = Counting(threshold, counts)
     result = train(
         recipe,
         joined([own] * repeats + [old] * old_repeats),
         judging,
         folder,
         make_network=lambda _: copy.deepcopy(start.network),
-        start=start.digest,
+        about=about,
         teacher=Teacher(copy.deepcopy(start.network), is_old, OLD_WEIGHT),
-        counting=Counting(
-            config.classifier.score_threshold,
-            np.concatenate([np.ones(len(judging) - len(judge_weights), np.float32), judge_weights]),
-        ),
+        counting=counting,
         device=device,
         progress=progress,
     )
@@ -267,10 +276,9 @@ def fine_tune(
     result = dataclasses.replace(result, val_logits=score_samples(result.network, judging, chosen_device))
     result.network.cpu()
     after = np.split(light_scores(result.val_logits), np.cumsum([len(part) for _, _, part in parts])[:-1])
-    threshold = config.classifier.score_threshold
     judged = tuple(
-        Judged(name, images, part, scores, later, threshold, counts)
-        for (name, images, part), scores, later, counts in zip(parts, before, after, weights, strict=True)
+        Judged(name, images, part, scores, later, threshold, its_weights)
+        for (name, images, part), scores, later, its_weights in zip(parts, before, after, weights, strict=True)
     )
     figures = {each.name: [dataclasses.asdict(found) for found in each.figures()] for each in judged}
     summary = {
@@ -278,12 +286,14 @@ def fine_tune(
         "from": start.name,
         "from_sha256": start.digest,
         "mixed_in": [str(path) for path in mix] or OLD_SAMPLES.name,
-        **finish(recipe, result, judging, folder),
+        **finish(recipe, result, judging, folder, counting),
         "way": way,
         "threshold": threshold,
         "before_and_after": figures,
         "kept": kept,
         "samples": {"own": sample_counts(own), "mixed_in": sample_counts(old)},
+        "without_light": without_light([*learnt, *held_out], [*own_parts, *(part for _, _, part in parts[:-1])])
+        + unlit,
         "repeats": {"own": repeats, "mixed_in": old_repeats},
         "seconds": round(time.perf_counter() - started, 1),
     }

@@ -122,7 +122,7 @@ def write_hypotheses(path: Path, model: Hypotheses) -> None:
 
 def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None = None) -> Iterator[RangedView]:
     """The images of the split in `root` with lights of known range; a light belongs to the smallest box around it."""
-    dataset, truth = open_labelled(root), read_truth(root)
+    dataset, truth = open_labelled(root, config.guard.white_level), read_truth(root)
     proposer, estimator = make_proposer(config.proposals), RoadSurface(config.distance)
     num_done = 0
     for drive in truth:

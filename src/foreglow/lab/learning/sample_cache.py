@@ -100,15 +100,15 @@ def _clear(cache: Path) -> None:
 def samples_digest(dataset: LabelledSource, config: SampleConfig) -> str:
     """SHA-256 of everything that determines the samples.
 
-    That is: images (path and `image_state`), labels, what a simulator knows of them, configuration, and the code that
-    makes samples of them.
+    That is: images (path and `image_state`) and their white level, labels, what a simulator knows of them,
+    configuration, and the code that makes samples of them.
     """
     digest = hashlib.sha256()
 
     def add(*values: Any) -> None:
         digest.update(json.dumps(values).encode() + b"\n")
 
-    add(FORMAT, _code_digest(), config.model_dump(mode="json"), dataset.rate_hz)
+    add(FORMAT, _code_digest(), config.model_dump(mode="json"), dataset.rate_hz, dataset.white_level)
     for image_id in dataset.frame_ids:
         path = dataset.image_path(image_id)
         sequence = dataset.sequence(image_id)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -16,15 +17,13 @@ from foreglow.lab.simulation.camera.likeness import MAX_DISTANCE, look_of, neare
 from foreglow.runs.recorded_run import RecordedRun, open_run
 from foreglow.types import FrameResult
 from foreglow.types.arrays import Boxes
+from foreglow.types.white import full_scale
 from foreglow.whole_files import together, write_atomic
 from foreglow.wording import csv_words, shortened
 
 FILE_NAME = "suggestions.csv"
 LOOK_STEP = 10
 """Every so manieth frame of a drive is looked at: a drive's look changes slowly."""
-
-CROWDING = 4
-"""Suggested frames are at least this share of their mean distance apart: a quarter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,12 +115,15 @@ def unlikeness(run: RecordedRun) -> Mapping[int, float]:
         ValueError: If they cannot be read.
     """
     found: dict[int, float] = {}
-    latest = 0.0
+    latest, num_since, sequence = 0.0, 0, None
     for index, frame in enumerate(open_run(run.folder)):
         if index >= run.summary.num_frames:
             break
-        if index % LOOK_STEP == 0:
-            distance = nearest_profile(look_of(frame.image))[1]
+        num_since = num_since + 1 if frame.sequence == sequence else 0  # drives may look unlike one another
+        sequence = frame.sequence
+        if num_since % LOOK_STEP == 0:
+            seen = full_scale(frame, run.config.guard.white_level)
+            distance = nearest_profile(look_of(seen.image))[1]
             latest = float(np.clip((distance - 0.5 * MAX_DISTANCE) / (1.5 * MAX_DISTANCE), 0.0, 1.0))
         found[frame.frame] = latest
     return found
@@ -130,26 +132,34 @@ def unlikeness(run: RecordedRun) -> Mapping[int, float]:
 def suggested(drives: Sequence[Sequence[Suggestion]], num_frames: int) -> list[list[Suggestion]]:
     """The frames to label, by drive and in their order: the drives take turns, each with its best frame that is left.
 
-    Frames of a drive keep a distance, so that they are not all of one moment.
+    Frames of a drive are at least half of their mean distance apart, so that they are not all of one moment; nearer
+    ones follow where there are too few others.
     """
     quota = -(-num_frames // max(1, len(drives)))
-    gaps = [max(1, len(drive) // (CROWDING * quota)) for drive in drives]
-    orders = [sorted(range(len(drive)), key=lambda k, drive=drive: (-drive[k].value, k)) for drive in drives]  # type: ignore[misc]
+    gaps = [max(1, (len(drive) // quota + 1) // 2) for drive in drives]
+    orders = [
+        deque(sorted(range(len(drive)), key=lambda k, drive=drive: (-drive[k].value, k)))  # type: ignore[misc]
+        for drive in drives
+    ]
     chosen: list[list[int]] = [[] for _ in drives]
+    crowded: list[deque[int]] = [deque() for _ in drives]
     num_left = num_frames
-    is_moving = True
-    while num_left and is_moving:
-        is_moving = False
+    while num_left:
+        num_before = num_left
         turns = sorted(range(len(drives)), key=lambda n: -drives[n][orders[n][0]].value if orders[n] else 0.0)
         for number in turns:
-            order = orders[number]
-            while num_left and order:
-                index = order.pop(0)
+            while num_left and orders[number]:
+                index = orders[number].popleft()
                 if all(abs(index - other) >= gaps[number] for other in chosen[number]):
                     chosen[number].append(index)
                     num_left -= 1
-                    is_moving = True
                     break
+                crowded[number].append(index)
+        if num_left == num_before:
+            if not any(crowded):
+                break
+            gaps = [max(1, gap // 2) for gap in gaps]
+            orders, crowded = crowded, [deque() for _ in drives]
     return [[drive[index] for index in sorted(indices)] for drive, indices in zip(drives, chosen, strict=True)]
 
 

@@ -13,10 +13,10 @@ import hashlib
 import io
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -98,7 +98,7 @@ def train(
     folder: Path | str,
     *,
     make_network: MakeNetwork | None = None,
-    start: str = "",
+    about: Mapping[str, Any] | None = None,
     teacher: Teacher | None = None,
     taught: NDArray[np.float32] | None = None,
     counting: Counting = EACH_AS_ONE,
@@ -115,7 +115,7 @@ def train(
         val_samples: Samples to choose the best epoch by; never augmented.
         folder: Folder for the checkpoint; made if it does not exist.
         make_network: Makes the network to train; None takes the recipe's from `networks.NETWORKS`, untrained.
-        start: What the network has learnt before, such as a model's digest: another start does not continue this one.
+        about: What else must be the same to continue, by name, such as the digest of the model that it starts from.
         teacher: What is to be kept of a network, and on which training samples; None trains on labels alone.
         taught: Shape (N, 5): what other models say of the kinds of the training samples, of which the recipe's `taught`
             goes into the targets; None without them.
@@ -133,11 +133,10 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     identity = {
         **recipe.model_dump(mode="json"),
+        **(about or {}),
         "train data": train_samples.digest or content_digest(train_samples),
         "val data": val_samples.digest or content_digest(val_samples),
     }
-    if start:
-        identity["start"] = start
     if teacher is not None:
         identity["teacher"] = [teacher.weight, int(teacher.is_told.sum())]
     if taught is not None:

@@ -25,7 +25,7 @@ from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined, joined_digest
-from foreglow.lab.learning.scores import EACH_AS_ONE, Calibrator, fit_calibrator, light_logits
+from foreglow.lab.learning.scores import Calibrator, Counting, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
 from foreglow.whole_files import write_atomic
@@ -100,32 +100,36 @@ def train_model(
     check_each_once(learnt, "DATA")
     judging = [split_folder(path, "val") for path in whole]
     check_apart(learnt, judging, data)
+    camera = {"white_level": config.guard.white_level}
     splits = {
-        "train": [open_labelled(path) for path in learnt],
-        "val": [open_labelled(path) for path in judging],
+        "train": [open_labelled(path, **camera) for path in learnt],
+        "val": [open_labelled(path, **camera) for path in judging],
     }
-    check_begun(folder, recipe.model_dump(mode="json"))
+    check_begun(folder, recipe.model_dump(mode="json") | camera)
     if (folder / CHECKPOINT).exists():  # else there is nothing that it could not go on from
         configs = {name: _sample_config(recipe, config, name) for name in names}
         digests = {name: [samples_digest(dataset, configs[name]) for dataset in splits[name]] for name in names}
         check_begun(folder, {f"{name} data": joined_digest(found) for name, found in digests.items()})
     folder.mkdir(parents=True, exist_ok=True)
     cache = cache or folder / "samples"
-    samples = {
-        name: joined([labelled_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]])
+    parts = {
+        name: [labelled_samples(dataset, recipe, config, name, cache, progress) for dataset in splits[name]]
         for name in names
     }
+    samples = {name: joined(parts[name]) for name in names}
     for name in names:
         origin = ", ".join(str(dataset.root) for dataset in splits[name])
         check_learnable(samples[name], origin, has_kinds=recipe.kinds and name == "train")
     reported = WithEventFiles(folder, progress) if importlib.util.find_spec("tensorboard") else progress
     taught = taught_kinds(models, samples["train"]) if models else None
-    result = train(recipe, samples["train"], samples["val"], folder, taught=taught, device=device, progress=reported)
+    how: dict[str, Any] = {"taught": taught, "about": camera, "device": device, "progress": reported}
+    result = train(recipe, samples["train"], samples["val"], folder, **how)
     summary = {
         "data": [str(path) for path in data],
         "teachers": {model.name: model.digest for model in models},
-        **finish(recipe, result, samples["val"], folder),
+        **finish(recipe, result, samples["val"], folder, Counting(config.classifier.score_threshold)),
         "samples": {name: sample_counts(split) for name, split in samples.items()},
+        "without_light": [origin for name in names for origin in without_light(splits[name], parts[name])],
         "seconds": round(time.perf_counter() - started, 1),
     }
     return write_results(folder, recipe, config, summary)
@@ -142,8 +146,13 @@ def training_configuration(model: Path, base: PipelineConfig | None = None) -> P
 
 
 def sample_counts(samples: Samples) -> dict[str, int]:
-    """How many samples have each label."""
+    """How many samples have each label; copies of boxes are samples, too."""
     return {kind: samples.num_labelled(label) for kind, label in LABELS.items()}
+
+
+def without_light(splits: Sequence[LabelledSource], parts: Sequence[Samples]) -> list[str]:
+    """Those of the splits that have no box with light among their samples: perhaps nobody has labelled them."""
+    return [str(each.root) for each, part in zip(splits, parts, strict=True) if not part.num_labelled(POSITIVE)]
 
 
 def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: Mapping[str, Any]) -> dict[str, Any]:
@@ -152,7 +161,8 @@ def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: M
     Raises:
         ValueError: If one is there that was changed since it was written.
     """
-    summary = {**provenance(), **about, "recipe": recipe.model_dump(mode="json")}
+    camera = {"white_level": config.guard.white_level}
+    summary = {**provenance(), **about, **camera, "recipe": recipe.model_dump(mode="json")}
     used = config.classifier.model_copy(update={"model": folder / MODEL, "support": recipe.inputs.support})
     texts = (
         recipe_to_toml(recipe),
@@ -163,8 +173,15 @@ def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: M
     return summary
 
 
-def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -> dict[str, Any]:
+def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, counting: Counting) -> dict[str, Any]:
     """Calibrates the network, writes it as weights and as an ONNX model, compares the two, and rates it.
+
+    Args:
+        recipe: How it was trained.
+        result: What came of it.
+        val: The validation samples.
+        folder: Where to write.
+        counting: How the figures count the validation samples; its threshold is the pipeline's.
 
     Returns:
         Figures for `summary.json`, by name.
@@ -196,7 +213,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path) -
         "seed": recipe.seed,
         "num_epochs": len(result.epochs),
         "best_epoch": dataclasses.asdict(result.best),
-        "validation": _figures(logits, labels, calibrator),
+        "validation": _figures(logits, labels, calibrator, counting[is_labelled]),
         "largest_difference_of_export": difference,
         "model_bytes": len(model_bytes),
         "model_sha256": hashlib.sha256(model_bytes).hexdigest(),
@@ -230,12 +247,13 @@ def _sample_config(recipe: Recipe, config: PipelineConfig, split: SplitName) -> 
     return SampleConfig(proposals=config.proposals, inputs=recipe.inputs, jitter=jitter, by_light=recipe.by_light)
 
 
-def _figures(logits: Any, labels: Any, calibrator: Calibrator) -> dict[str, Any]:
+def _figures(logits: Any, labels: Any, calibrator: Calibrator, counting: Counting) -> dict[str, Any]:
     """Figures of the validation boxes before and after calibration; precision, recall and F after it."""
     before, after = light_logits(logits), light_logits(calibrator.applied(logits))
     errors = [expected_calibration_error(expit(values), labels) for values in (before, after)]
     return {
-        **dataclasses.asdict(EACH_AS_ONE.scores(after, labels)),
+        **dataclasses.asdict(counting.scores(after, labels)),
+        "threshold": counting.threshold,
         "temperature": calibrator.temperature,
         "shift": calibrator.shift,
         "log_loss": {"before": log_loss(before, labels), "after": log_loss(after, labels)},

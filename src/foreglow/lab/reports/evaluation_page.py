@@ -169,6 +169,9 @@ def write_report(examination: Examination, folder: Path, origin: Mapping[str, An
 def examination_lines(examination: Examination) -> list[str]:
     """The figures that matter most, one fact a line, for a terminal."""
     breakdown, lines = examination.breakdown, []
+    if not examination.quality.tp + examination.quality.fn:
+        images = counted(examination.quality.num_images, "image")
+        lines.append(f"no key point in {images}, so that only false boxes are judged: is the split labelled?")
     if examination.num_outside:
         lights = counted(examination.num_outside, "key point")
         lines.append(

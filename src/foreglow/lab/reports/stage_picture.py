@@ -16,6 +16,7 @@ from foreglow.proposals import ReferenceProposer
 from foreglow.proposals.reference import Verdict
 from foreglow.proposals.resizing import in_working_pixels, resized
 from foreglow.types import Frame, FrameResult
+from foreglow.types.white import full_scale
 
 VERDICTS: dict[Verdict, tuple[str, str]] = {
     "kept": ("kept", AMBER),
@@ -40,6 +41,7 @@ def stage_picture(frame: Frame, result: FrameResult, config: PipelineConfig) -> 
     from matplotlib.figure import Figure
 
     proposer = ReferenceProposer(in_working_pixels(config.proposals))
+    frame = full_scale(frame, config.guard.white_level)
     image = resized(frame.image, config.proposals)
     stages = proposer.stages(image)
     if stages is None:

@@ -66,9 +66,10 @@ def write_report(tuning: Tuning, folder: Path) -> Path:
 def _best_toml(tuning: Tuning) -> str:
     settings = tuning.settings
     fields = tuning.chosen.config.model_dump(exclude_none=True, exclude={"backend", "dispatch"})
+    camera = {} if settings.white_level is None else {"guard": {"white_level": settings.white_level}}
     return (
         f"# Found by foreglow tune: objective {settings.objective}, space {settings.space_name}, "
-        f"{len(tuning.trials)} trials, seed {settings.seed}.\n" + tomli_w.dumps({"proposals": fields})
+        f"{len(tuning.trials)} trials, seed {settings.seed}.\n" + tomli_w.dumps({"proposals": fields} | camera)
     )
 
 

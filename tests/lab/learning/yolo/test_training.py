@@ -355,3 +355,13 @@ def test_libreyolo_itself(data: Path, tmp_path: Path) -> None:
     for boxes in found.boxes_xyxy_px.values():
         assert (boxes >= 0).all()
         assert (boxes <= np.array([WIDTH_PX, HEIGHT_PX] * 2)).all()
+
+
+@pytest.mark.parametrize("split", ["train", "val"])
+def test_nothing_is_trained_on_data_that_nobody_has_labelled(
+    calls: Calls, data: Path, tmp_path: Path, split: str
+) -> None:
+    for label in (data / split / "labels/keypoints").iterdir():
+        label.write_text(json.dumps(json.loads(label.read_text()) | {"annotations": []}))
+    with pytest.raises(ValueError, match=rf"labels/{split}: expected a box with light in some image"):
+        train_yolo(data, tmp_path / "run", config(calls.name))

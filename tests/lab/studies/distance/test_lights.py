@@ -110,6 +110,20 @@ def test_boxes_and_depth_images(split: Path, simulated: DistanceResults, tmp_pat
     )
 
 
+def test_a_camera_of_few_bits_is_seen_at_full_scale(split: Path, simulated: DistanceResults, tmp_path: Path) -> None:
+    boxes, depth = told(simulated, tmp_path)
+    found = []
+    for factor, white_level in ((257, None), (16, 4080)):
+        frames = [
+            dataclasses.replace(frame, image=frame.image.astype(np.uint16) * np.uint16(factor)) for frame in PVDN(split)
+        ]
+        config = PLAN.config.changed("guard", white_level=white_level)
+        plan = DistancePlan(estimators=("road_surface",), config=config)
+        results = run_experiment(LidarLights(frames, boxes, depth), plan)  # type: ignore[arg-type]
+        found.append(list(results.ranges_m.values()))
+    np.testing.assert_array_equal(found[1], found[0])
+
+
 def test_light_without_a_depth_is_left_out(split: Path, simulated: DistanceResults, tmp_path: Path) -> None:
     boxes, depth = told(simulated, tmp_path)
     empty = next(iter(sorted(depth.iterdir())))

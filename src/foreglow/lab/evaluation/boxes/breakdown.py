@@ -251,6 +251,28 @@ def num_outside(image: ImageRecord, positions_px: Iterable[Sequence[float]]) -> 
     return sum(not (0 <= x <= image.width_px and 0 <= y <= image.height_px) for x, y in positions_px)
 
 
+def check_has_light(dataset: LabelledSource, image_ids: Sequence[int] | None = None) -> None:
+    """Passes images among which is labelled light: by others, nothing can be chosen or judged.
+
+    Args:
+        dataset: The split.
+        image_ids: Some of its images; None for all that are selected.
+
+    Raises:
+        FileNotFoundError: If an image has no file of key points.
+        ValueError: If there is no key point within an image, or a label file is broken.
+    """
+    chosen = dataset.frame_ids if image_ids is None else image_ids
+    for image_id in chosen:
+        points = dataset.keypoints_px(image_id).tolist()
+        if len(points) > num_outside(dataset.image(image_id), points):
+            return
+    raise ValueError(
+        f"{dataset.root}: expected labelled light to choose and judge by, found no key point in {len(chosen)} of its "
+        f"{len(dataset)} images"
+    )
+
+
 def num_beyond(dataset: LabelledSource, predictions: Predictions) -> int:
     """How many predicted boxes, whatever their score, lie wholly beyond the edges of their image."""
     total = 0

@@ -39,10 +39,10 @@ class QualityCurve:
 
     @property
     def best(self) -> tuple[float, float]:
-        """The lowest threshold from 0 up with the highest F, and that F; both NaN where there is no keypoint or box."""
+        """The lowest threshold from 0 up with the highest F, and that F; both NaN where there is no keypoint."""
         can_be_set = self.thresholds >= 0  # a threshold below 0 counts boxes of score 0, and no command takes one
         thresholds, f1 = self.thresholds[can_be_set], self.f1[can_be_set]
-        if np.isnan(f1).all():
+        if np.isnan(self.recall).all():
             return math.nan, math.nan
         index = int(np.nanargmax(f1))
         return float(thresholds[index]), float(f1[index])

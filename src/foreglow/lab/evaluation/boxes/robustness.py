@@ -233,13 +233,15 @@ def robustness(
         FileNotFoundError: If an image or the model is missing.
         ValueError: If an image is broken, the model does not fit, or two disturbances have the same name.
     """
+    seen = dataset.seen_by(config.guard.white_level)  # disturbances are on the scale of all bits
+    config = config.changed("guard", white_level=None)
     names = [disturbance.name for disturbance in disturbances]
     if len(set(names)) < len(names):
         raise ValueError(f"disturbances: expected each name once, got {', '.join(names)}")
     variants = {
         disturbance.name: (Pipeline(config), functools.partial(disturbance, seed=seed)) for disturbance in disturbances
     }
-    runs = run_variants(dataset, variants, progress)
+    runs = run_variants(seen, variants, progress)
     return tuple(_row(name, run, labels, config.classifier.score_threshold) for name, run in runs.items())
 
 

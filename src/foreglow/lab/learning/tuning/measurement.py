@@ -20,6 +20,7 @@ from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource
 from foreglow.files import check_file, file_digest, read_plain_json
 from foreglow.lab.evaluation import BoxQuality, Predictions, evaluate_boxes
+from foreglow.lab.evaluation.boxes.breakdown import check_has_light
 from foreglow.lab.evaluation.boxes.lights import NUM_STRONGEST, Light, read_lights
 from foreglow.lab.evaluation.boxes.matching import lies_in
 from foreglow.lab.learning.annotation import Progress
@@ -79,6 +80,8 @@ def stack_frames(
     for image_id in image_ids:
         path = dataset.image_path(image_id)
         files.update(f"{path.resolve()}\0".encode(errors="surrogateescape") + image_state(path))
+    if dataset.white_level is not None:
+        files.update(f"white {dataset.white_level}".encode())
     pixels = folder / f"{files.hexdigest()[:16]}.bin"
     index = pixels.with_suffix(".json")
     if (decoded := _decoded(pixels, index)) is not None:
@@ -288,10 +291,11 @@ def read_material(
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
-        ValueError: If one is broken.
+        ValueError: If one is broken, or no light is labelled in these images.
         OSError: If the pixels cannot be written.
     """
     image_ids = interleaved(evenly_spread(dataset.frame_ids, num_images), NUM_CHUNKS)
+    check_has_light(dataset, image_ids)
     lights = read_lights(dataset)
     return Material(
         image_ids,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from foreglow.checksums import check_as_written
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
+from foreglow.lab.evaluation.boxes.breakdown import check_has_light
 from foreglow.lab.learning.annotation import Progress, existing_splits
 from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
@@ -121,7 +122,8 @@ def tune(
     Raises:
         FileNotFoundError: If there is no train split, or a file of the data set is missing.
         ModuleNotFoundError: If Optuna is not installed.
-        ValueError: If train is val or test by another name, a label or an image is broken, the storage cannot be used,
+        ValueError: If train is val or test by another name, no light is labelled in val or in the images of train that
+            the search goes by, a label or an image is broken, the storage cannot be used,
             the study there has another seed, no trial was finished, or `out` has a result that was changed since it
             was written.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
@@ -131,7 +133,10 @@ def tune(
     check_as_written(out, RESULTS)
     folders = {"train": split_folder(data, "train"), **existing_splits(Path(data), ("val", "test"))}
     check_apart([folders["train"]], [folder for name, folder in folders.items() if name != "train"])
-    splits, workers = {name: open_labelled(folder) for name, folder in folders.items()}, workers or Local()
+    splits = {name: open_labelled(folder, settings.white_level) for name, folder in folders.items()}
+    workers = workers or Local()
+    if "val" in splits:
+        check_has_light(splits["val"])
     storage = settings.storage or str(out / "study.journal")
     check_storage(storage)
     material = read_material(

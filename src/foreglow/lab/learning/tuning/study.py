@@ -52,6 +52,7 @@ class TuningSettings:
         num_finalists: Number of the best on train that are compared on val.
         storage: URL of a database, or a journal file, which several machines may share; None for a journal in the
             output folder.
+        white_level: That of the camera, as of a pipeline's guard; None for images that fill their type.
     """
 
     num_trials: int = 200
@@ -61,6 +62,7 @@ class TuningSettings:
     seed: int = 0
     num_finalists: int = 10
     storage: str | None = None
+    white_level: int | None = None
 
     def __post_init__(self) -> None:
         for name in ("num_trials", "num_images", "num_finalists"):

@@ -110,7 +110,8 @@ def train_yolo(
 
     Raises:
         FileNotFoundError: If the data or a part of them is missing.
-        ValueError: If a file is broken, or `folder` holds a run with other settings.
+        ValueError: If a file is broken, no box with light is in train or in val, or `folder` holds a run with other
+            settings.
         ModuleNotFoundError: If the library is not installed.
     """
     _check_own(folder)
@@ -124,8 +125,10 @@ def train_yolo(
         export_size_px=exported.size_px,
         data_sha256=_data_digest(data_file.parent),
     )
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / CONFIG_NAME
+    if not path.exists():
+        _check_lit(data_file.parent)
+    folder.mkdir(parents=True, exist_ok=True)
     if path.exists():
         known = read_json(path, YoloSettings)
         check_claim(path, settings.training, known.training, "run")
@@ -145,6 +148,14 @@ def train_yolo(
         )
         write_atomic(folder / RESULTS_NAME, (results.model_dump_json(indent=1) + "\n").encode())
     return read_yolo_run(folder)
+
+
+def _check_lit(export: Path) -> None:
+    """ValueError if no image of train, or none of val, has a box in an export: as of data that nobody has labelled."""
+    for name in ("train", "val"):
+        boxes = export / "labels" / name
+        if not any(path.stat().st_size for path in boxes.glob("*.txt")):
+            raise ValueError(f"{boxes}: expected a box with light in some image to learn from and judge by, found none")
 
 
 def _data_digest(export: Path) -> str:

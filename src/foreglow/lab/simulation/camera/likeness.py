@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import read_toml
 from foreglow.types import Frame, FrameResult, Image
+from foreglow.types.white import full_scale
 
 NUM_IMAGES = 12
 """Images of a run that are looked at, evenly spaced; of several sequences about as many, and at least one of each."""
@@ -87,8 +88,9 @@ def nearest_profile(look: Look, looks: Mapping[str, tuple[Look, Look]] | None = 
 class LookSink:
     """A result sink that looks at a few frames of each sequence of a run, in whatever process that is run."""
 
-    def __init__(self, num_frames: int | None = None) -> None:
-        """Takes the number of frames, if it is known, so that the images are spread over all."""
+    def __init__(self, num_frames: int | None = None, white_level: int | None = None) -> None:
+        """Takes the number of frames, if known, so that the images are spread over all, and the camera's white."""
+        self._white_level = white_level
         self._step = STEP if num_frames is None else max(1, num_frames // NUM_IMAGES)
         self._num_frames: Counter[str] = Counter()  # by sequence
         self._looks: list[Look] = []
@@ -98,7 +100,7 @@ class LookSink:
         """Looks at every so manieth frame."""
         place, is_over = divmod(self._num_frames[frame.sequence], self._step)
         if not is_over and place < NUM_IMAGES:
-            self._looks.append(look_of(frame.image))
+            self._looks.append(look_of(full_scale(frame, self._white_level).image))
             if frame.image.dtype == np.uint16:
                 self._brightest.append(int(frame.image.max()))
         self._num_frames[frame.sequence] += 1

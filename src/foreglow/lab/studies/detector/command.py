@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from foreglow.command_line import argument, file, flag, folder, listed, option
-from foreglow.options import DeviceOption, PatienceOption, SplitOption
+from foreglow.options import DeviceOption, PatienceOption, SplitOption, WhiteOption
 
 if TYPE_CHECKING:
     from foreglow.datasets import SplitName
@@ -44,6 +44,7 @@ def command(
     seed: Annotated[int, option("N", "Seed of the training and the resampling.", min=0)] = 1,
     split: SplitOption = "test",
     device: DeviceOption = "auto",
+    white_level: WhiteOption = None,
 ) -> None:
     """Make the paper's table of detectors: baseline, paper, ours and YOLO, all measured in the same way."""
     from foreglow.datasets import open_labelled, split_folder
@@ -78,6 +79,7 @@ def command(
         yolo_epochs=yolo_epochs,
         yolo_image_size_px=yolo_image_size,
         device=device,
+        white_level=white_level,
     )
     with StepProgress() as progress, TrainingBar() as training:
 

@@ -103,6 +103,7 @@ class DetectorPlan:
         yolo_epochs: Passes over the training split for a YOLO that is trained here.
         yolo_image_size_px: Side of its images.
         device: `auto`, `cpu` or `cuda`.
+        white_level: That of the camera, as of a pipeline's guard; a YOLO reads images of 8 bits only.
     """
 
     rows: tuple[str, ...] = tuple(ROWS)
@@ -116,6 +117,7 @@ class DetectorPlan:
     yolo_epochs: int = 3
     yolo_image_size_px: int = 320
     device: str = "auto"
+    white_level: int | None = None
 
     def __post_init__(self) -> None:
         for name in (*self.rows, *self.given):
@@ -129,7 +131,11 @@ class DetectorPlan:
                     f"{ROWS[name].option}: expected its row {name} among those that are made, which are "
                     f"{', '.join(row for row in self.rows if self.with_yolo or ROWS[row].kind != 'yolo')}"
                 )
-        check_given(self.given)
+        check_given(self.given, self.white_level)
+
+    def configuration(self, spec: RowSpec) -> PipelineConfig:
+        """That of a row, for this camera."""
+        return spec.configuration.changed("guard", white_level=self.white_level)
 
 
 PAPER_YOLO = "960 px; its repository: 200 epochs from COCO weights"
@@ -158,12 +164,13 @@ class Workspace:
         return None if self.progress is None else functools.partial(self.progress, step)
 
 
-def check_given(given: Mapping[str, Path]) -> None:
+def check_given(given: Mapping[str, Path], white_level: int | None = None) -> None:
     """Passes models that can be used, by the names of their rows: so that none fails after hours of other rows.
 
     Raises:
         FileNotFoundError: If one is missing.
-        ValueError: If one is broken, was trained on another preset's boxes, or says that it is another network.
+        ValueError: If one is broken, was trained on another preset's boxes or for another white level, or says that it
+            is another network.
         ModuleNotFoundError: If the library of a YOLO is not installed.
     """
     for name, path in given.items():
@@ -177,7 +184,9 @@ def check_given(given: Mapping[str, Path]) -> None:
             check_usable(read_yolo_run(path))
         else:
             _check_network(file, OnnxClassifier(ClassifierConfig(model=file)).metadata, spec)
-            _configuration(path, spec)
+            known = _configuration(path, spec).guard.white_level
+            if known not in (None, white_level):
+                raise ValueError(f"{path}: guard.white_level: expected that of the table, {white_level}, got {known}")
 
 
 def _check_network(file: Path, metadata: Mapping[str, str], spec: RowSpec) -> None:
@@ -226,6 +235,7 @@ def row_key(name: str, workspace: Workspace) -> str:
     parts: list[Any] = [_FORMAT, split_digest(split_folder(workspace.data, plan.split)), THRESHOLD]
     parts.append(spec.configuration.proposals.model_dump(mode="json"))
     parts += [_YOLO_FORMAT] if spec.kind == "yolo" else []
+    parts += [] if plan.white_level is None else [{"white_level": plan.white_level}]
     if name in plan.given:
         parts.append(given_digest(name, plan.given[name]))
     else:
@@ -274,7 +284,8 @@ def classifier_model(name: str, workspace: Workspace) -> tuple[PipelineConfig, s
         _train(name, workspace, given)
     model = _model_file(given, spec.kind)
     note = _note(given) if given.is_dir() else f"given: {given.name}, SHA-256 {file_digest(given)[:12]}"
-    return _with_model(_configuration(given, spec), model), note
+    used = _configuration(given, spec).changed("guard", white_level=workspace.plan.white_level)
+    return _with_model(used, model), note
 
 
 def _configuration(given: Path, spec: RowSpec) -> PipelineConfig:
@@ -360,7 +371,7 @@ def _train(name: str, workspace: Workspace, folder: Path) -> None:
     train_model(
         [workspace.data],
         _recipe(spec.recipe, plan),
-        spec.configuration,
+        plan.configuration(spec),
         folder,
         device=plan.device,
         cache=workspace.out / "samples",

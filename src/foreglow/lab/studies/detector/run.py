@@ -159,11 +159,13 @@ def run_experiment(
 
     Raises:
         FileNotFoundError: If a file of the data set or of a given model is missing.
-        ValueError: If one is broken, or does not fit.
+        ValueError: If one is broken, or does not fit, or the split has no image.
         ModuleNotFoundError: If an extra that is needed is not installed.
     """
     workspace = Workspace(data, out, plan, progress, training)
     dataset = open_labelled(split_folder(data, plan.split))
+    if not dataset.frame_ids:
+        raise ValueError(f"{dataset.root}: expected images to measure on, found none")
     labels = read_split_labels(dataset, with_shares=True)
     rows = tuple(_row(name, workspace, dataset, labels) for name in plan.rows)
     predictions = {row.name: read_predictions(_predictions_file(out, row.name)) for row in rows if row.reason is None}

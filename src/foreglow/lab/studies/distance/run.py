@@ -24,6 +24,7 @@ from foreglow.lab.studies.distance.lights import LidarLights, RangedLight, Sampl
 from foreglow.lab.studies.progress import Progress
 from foreglow.tracking import make_tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks
+from foreglow.types.white import full_scale
 
 NUM_FRAMES = 5
 """Source: Ewecker et al., arXiv 2107.11302, distance estimation over a track."""
@@ -215,7 +216,8 @@ def run_experiment(source: Path | LidarLights, plan: DistancePlan, progress: Pro
     scene: int | None = None
     example: Sample | None = None
     for num_done, sample in enumerate(samples, start=1):
-        frame, detections, in_image = sample.frame, sample.detections, sample.lights
+        frame = full_scale(sample.frame, plan.config.guard.white_level)  # as the pipeline's estimators see it
+        detections, in_image = sample.detections, sample.lights
         if sample.depth_m is not None and (example is None or len(in_image) > len(example.lights)):
             example = sample
         if sample.scene_id != scene:

@@ -75,7 +75,7 @@ class GlarePlan(FrozenModel):
             FileNotFoundError: If there is no such model of the paper, configuration or camera.
             ValueError: If the headlamps do not fit, or a configuration or camera is broken.
         """
-        chain = None if self.paper_model is None else paper_chain(self.paper_model)
+        chain = None if self.paper_model is None else paper_chain(self.paper_model, config.guard.white_level)
         profile = None if self.camera is None else read_profile(self.camera)
         return Drives(config, self.delays, self.quality, chain, self.others(config), profile)
 
@@ -267,7 +267,7 @@ def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
     if plan.camera is not None:
         parts.append(profile_to_toml(read_profile(plan.camera)))
     if plan.paper_model is not None:
-        chain = paper_chain(plan.paper_model)
+        chain = paper_chain(plan.paper_model, config.guard.white_level)
         assert chain.classifier.model is not None
         parts.append(file_digest(chain.classifier.model))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()

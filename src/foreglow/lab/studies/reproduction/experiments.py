@@ -120,7 +120,8 @@ def _tune(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Prog
     from foreglow.lab.learning.tuning import TuningSettings, tune
     from foreglow.lab.reports.tuning_page import write_report
 
-    settings = TuningSettings(num_trials=plan.trials, num_images=plan.images, objective="q-only")
+    seen: dict[str, Any] = {"num_images": plan.images, "white_level": plan.config.guard.white_level}
+    settings = TuningSettings(num_trials=plan.trials, objective="q-only", **seen)
     write_report(tune(plan.root, folder, settings, progress, workers=workers), folder)
 
 
@@ -135,6 +136,7 @@ def _detector(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
         may_train=plan.may_train,
         epochs={} if plan.epochs is None else {"paper": plan.epochs},
         device=plan.device,
+        white_level=plan.config.guard.white_level,
     )
     results = run_experiment(plan.root, folder, asked, progress=progress, training=_Training(progress))
     write_report(results, pictures(results, open_labelled(plan.split("test"))), folder)
@@ -200,7 +202,7 @@ def _rate_hz(split: Path) -> float:
 
 def _chain(plan: ReproductionPlan, folder: Path) -> PipelineConfig | None:
     model = plan.paper_model(folder.parent)
-    return None if model is None else paper_chain(model)
+    return None if model is None else paper_chain(model, plan.config.guard.white_level)
 
 
 def _drive(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
@@ -292,7 +294,14 @@ def _detector_words(plan: ReproductionPlan, folder: Path) -> list[object]:
     for name, path in _detector_models(plan).items():
         words += [ROWS[name].option, path]
     words += [] if plan.epochs is None else ["--epochs-paper", plan.epochs]
+    words += _camera_words(plan)
     return words if plan.device == "auto" else [*words, "--device", plan.device]
+
+
+def _camera_words(plan: ReproductionPlan) -> list[Any]:
+    """The option for the camera's white, of commands that take no configuration."""
+    white_level = plan.config.guard.white_level
+    return [] if white_level is None else ["--white-level", white_level]
 
 
 EXPERIMENTS: Mapping[str, Experiment] = {
@@ -305,6 +314,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
         lambda plan, folder: (
             *("tune", plan.root, "--objective", "q-only", "--trials", plan.trials, "--images", plan.images),
             *("--out", folder),
+            *_camera_words(plan),
         ),
         _tune,
         "{paper.train.num_images} images of train, {paper.val.num_images} of val",

@@ -98,7 +98,7 @@ def run_experiments(
         OSError: If something cannot be written.
     """
     plan.split("test")
-    check_given(plan.models)
+    check_given(plan.models, plan.config.guard.white_level)
     Pipeline(plan.config.commanding())  # opens our model; an experiment that cannot would only have a reason
     _claim(out)
     state = read_json(out / STATE, State).root

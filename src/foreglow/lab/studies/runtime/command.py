@@ -30,7 +30,7 @@ def command(
 
     require_matplotlib()
     root, configuration = data.root(), pipeline.configuration()
-    paper = None if paper_model is None else paper_chain(paper_model)
+    paper = None if paper_model is None else paper_chain(paper_model, configuration.guard.white_level)
     with StepProgress() as progress:
         results = run_experiment(root, configuration, on or list(KINDS), frames, progress, paper)
     report = write_report(results, out)

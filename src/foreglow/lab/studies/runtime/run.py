@@ -144,6 +144,8 @@ def run_experiment(
     check_each_once(kinds, "--on")
     config = config.commanding()
     dataset = open_labelled(split)
+    if not dataset.frame_ids:
+        raise ValueError(f"{split}: expected images to run on, found none")
     networks: list[NetworkTimes] = []
     missing: dict[str, str] = {}
     for kind in kinds:

@@ -36,7 +36,8 @@ def command(
     from foreglow.lab.studies.time_benefit.run import LEAST_RATE_HZ, run_experiment
 
     require_matplotlib()
-    paper = None if paper_model is None else paper_chain(paper_model)
+    configuration = pipeline.configuration()
+    paper = None if paper_model is None else paper_chain(paper_model, configuration.guard.white_level)
     if split is not None and is_split(data):
         raise ValueError(f"--split: expected a whole data set with it, {data} is a single split")
     folders = [split_in(data, cast("SplitName", name)) for name in listed("--split", split or "test")]
@@ -50,7 +51,7 @@ def command(
             )
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
-        results = run_experiment(datasets, pipeline.configuration(), categories, progress, paper)
+        results = run_experiment(datasets, configuration, categories, progress, paper)
     report = write_report(results, out)
     beside = beside_paper("time-benefit", out / "results.json")
     typer.echo("\n".join([*summary_lines(results), *beside, f"look in {report}"]))
