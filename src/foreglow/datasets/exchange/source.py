@@ -230,8 +230,8 @@ class LabelFile(LabelledSource):
         """A line if there are lights of which nobody says of which vehicle they are."""
         marks = [mark for image in self.labels.images for mark in image.marks if mark.kind == Kind.LIGHT]
         num_alone = sum(mark.oid is None and mark.iid is None and mark.track is None for mark in marks)
-        words = f"{num_alone} of {len(marks)} lights have neither oid nor iid: each is of a vehicle of its own, hidden if it is no lamp"
-        return [words] if num_alone else []
+        words = "have neither oid nor iid: each is of a vehicle of its own, hidden if it is no lamp"
+        return [f"{num_alone} of {len(marks)} lights {words}"] if num_alone else []
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`."""
