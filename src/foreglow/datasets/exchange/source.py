@@ -133,7 +133,7 @@ class LabelFile(LabelledSource):
         recent: list[Frame] = []
         for frame in self._video:
             earliest_ns = frame.timestamp_ns - round(2e9 * EARLIER_S)
-            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns]
+            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns and kept.sequence == frame.sequence]
             if frame.frame in wanted:
                 earlier = _earlier(recent, frame.timestamp_ns)
                 is_known = earlier is None or earlier.frame in selected
@@ -285,6 +285,8 @@ class LabelFile(LabelledSource):
         check_near(self._images[image_id], (frame.width_px, frame.height_px), self.path)
         timestamp_ns = round(1e9 * self.time_s(image_id)) if self._video is None else frame.timestamp_ns
         directory = self._sequence_of[image_id].directory
+        if frame.sequence:  # a later recording of the video, whose times begin anew
+            directory = f"{directory[:150]}_{frame.sequence.replace(' ', '_')}"
         return dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)
 
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:

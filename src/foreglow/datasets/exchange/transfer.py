@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shutil
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -259,7 +260,10 @@ def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins:
             part = dataset.only(sequence.directory)
             pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)
             images = (_labelled(frame, dataset, earlier) for frame, earlier in pairs)
-            num_images += len(writer.add_sequence(sequence.model_copy(update={"image_ids": ()}), images).image_ids)
+            recordings = itertools.groupby(images, key=lambda each: each.frame.sequence)  # several of a video perhaps
+            for index, (directory, each) in enumerate(recordings):
+                own = {"id": sequence.id + index, "directory": directory, "image_ids": ()}
+                num_images += len(writer.add_sequence(sequence.model_copy(update=own), each).image_ids)
     return num_images
 
 
