@@ -14,6 +14,7 @@ from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of
 from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet
 from foreglow.datasets.images import png
 from foreglow.datasets.labelled import LabelledSource
+from tests.datasets.video.test_damage import make_stream
 
 
 def drive_of_images(folder: Path, numbers: Iterable[int], width_px: int = 96) -> Path:
@@ -105,3 +106,19 @@ def test_labels_of_a_tool_in_another_tools_format_are_for_the_same_images(tmp_pa
     source = LabelFile(path)
     assert {source.image_path(k).relative_to(tmp_path).as_posix() for k in source.frame_ids} == set(names)
     assert {source.image(k).file_name for k in source.frame_ids} == {"1.png", "2.png", "10.00\u202fPM.png"}
+
+
+def test_recordings_in_one_video_are_drives_of_their_own(tmp_path: Path) -> None:
+    """Two that were appended to each other: times begin anew, and no moment before is one of the first."""
+    path = tmp_path / "two.ts"
+    path.write_bytes(2 * make_stream(tmp_path / "first.ts"))  # 60 frames each, 25 a second
+    images = tuple(ImageLabels(f"frame_{number:06d}.png", (128, 96)) for number in (3, 58, 62, 80))
+    write_labels_file(tmp_path / "labels.xml", LabelSet(images, is_video=True), "cvat")
+    assert write_split(LabelFile(tmp_path / "labels.xml", path, on_error="mark"), tmp_path / "own") == 4
+    own = PVDN(tmp_path / "own")
+    assert [(each.directory, each.image_ids) for each in own.sequences] == [
+        ("labels", (3, 58)), ("labels_frame_60", (62, 80)),
+    ]  # fmt: skip
+    assert [own.time_s(image_id) for image_id in own.frame_ids] == pytest.approx([0.0, 2.2, 0.0, 0.72])
+    earlier = {frame.frame: frame.earlier for frame in own}
+    assert {number: frame is not None for number, frame in earlier.items()} == {3: False, 58: True, 62: False, 80: True}

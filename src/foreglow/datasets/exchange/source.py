@@ -136,7 +136,7 @@ class LabelFile(LabelledSource):
         recent: list[Frame] = []
         for frame in video:
             earliest_ns = frame.timestamp_ns - round(2e9 * EARLIER_S)
-            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns]
+            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns and kept.sequence == frame.sequence]
             if frame.frame in wanted:
                 earlier = _earlier({kept.frame: kept.timestamp_ns for kept in recent}, frame.timestamp_ns)
                 kept_with_it = next((kept for kept in recent if kept.frame == earlier), None)
@@ -290,6 +290,8 @@ class LabelFile(LabelledSource):
             )
         check_near(self._images[image_id], (frame.width_px, frame.height_px), self.path)
         directory = self._sequence_of[image_id].directory
+        if frame.sequence:  # a later recording of the video, whose times begin anew
+            directory = f"{directory[:150]}_{frame.sequence.replace(' ', '_')}"
         if earlier is not None:
             is_alike = (earlier.image.shape, earlier.image.dtype) == (frame.image.shape, frame.image.dtype)
             earlier = dataclasses.replace(earlier, sequence=directory) if is_alike else None

@@ -258,20 +258,14 @@ def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins:
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
-            frames = iter(part)
-            first = list(itertools.islice(frames, 1))
-            times_ms = _times_ms(dataset, first[0], part.frame_ids[-1]) if first else {}
-            images = (_labelled(frame, dataset) for frame in itertools.chain(first, frames))
-            stored = writer.add_sequence(sequence.model_copy(update={"image_ids": (), **times_ms}), images)
-            num_images += len(stored.image_ids)
+            recordings = itertools.groupby(part, key=lambda frame: frame.sequence)  # of a video perhaps several
+            for index, (directory, frames) in enumerate(recordings):
+                first = next(frames)
+                own = {"id": sequence.id + index, "directory": directory, "image_ids": ()}
+                own["start_time_ms"] = first.timestamp_ns / 1e6  # as a log of the drive has it
+                images = (_labelled(frame, dataset) for frame in itertools.chain([first], frames))
+                num_images += len(writer.add_sequence(sequence.model_copy(update=own), images).image_ids)
     return num_images
-
-
-def _times_ms(dataset: LabelledSource, first: Frame, last: int) -> dict[str, float]:
-    """When a sequence begins and ends, from its first frame to its last image: as a log of the drive has it."""
-    start_ms = first.timestamp_ns / 1e6
-    lasts_s = dataset.time_s(last) - dataset.time_s(first.frame)
-    return {"start_time_ms": start_ms, "end_time_ms": start_ms + 1e3 * lasts_s}
 
 
 def _labelled(frame: Frame, dataset: LabelledSource) -> LabelledImage:
