@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from foreglow.command_line import argument, file, flag, folder, option, output_file
 from foreglow.own_files import RECORDING, VIEW
+from foreglow.own_folders import TRAINING
 from foreglow.plugins import raising
 
 if TYPE_CHECKING:
@@ -74,8 +75,9 @@ class PipelineOptions:
             if self.model is None:
                 _check_own_model(self.config, configuration.classifier.model)
         if self.model is not None:
-            classifier = configuration.classifier.model_copy(update={"model": self.model})
-            configuration = configuration.model_copy(update={"classifier": classifier})
+            configuration = configuration.changed("classifier", model=self.model)
+            if self.config is None:
+                check_boxes("--model", self.model, configuration)
         return configuration
 
     @contextlib.contextmanager
@@ -89,6 +91,27 @@ class PipelineOptions:
             raise ValueError(f"{self.config}: {error}") from error
 
 
+def check_boxes(name: str, model: Path, configuration: PipelineConfig) -> None:
+    """Passes a configuration with the boxes that the model has learnt, as far as that is known; others need --config.
+
+    Raises:
+        ValueError: If they are others, on which the scores of the model, given by the option `name`, mean nothing.
+    """
+    from foreglow.config import PRESETS, read_config
+
+    known: PipelineConfig | None
+    if str(model) in PRESETS:
+        known, wanted = PRESETS[str(model)], f"--preset {model}"
+    else:
+        file = model.with_name("config.toml")  # also beside a model of another name, as a checkpoint that was kept
+        is_trainings = file.is_file() and file.with_name(TRAINING).is_file()
+        known, wanted = read_config(file) if is_trainings else None, f"--config {file}"
+    if known is not None and configuration.proposals != known.proposals:
+        raise ValueError(
+            f"proposals: expected {wanted} with {name} {model}, which knows the boxes of these proposals only"
+        )
+
+
 def _check_own_model(config: Path, model: Path | None) -> None:
     """Checks that the file of a training names the model beside it: in a copied folder, it names the one it was copied
     from, which may have been trained anew or be gone.
@@ -97,7 +120,6 @@ def _check_own_model(config: Path, model: Path | None) -> None:
         ValueError: If there is another one beside it.
     """
     from foreglow.files import file_digest
-    from foreglow.own_folders import TRAINING
 
     own = config.with_name("model.onnx")
     is_trainings = config.name == "config.toml" and own.is_file() and config.with_name(TRAINING).is_file()
