@@ -95,9 +95,9 @@ def test_a_model_overrides_the_file_and_the_file_the_preset(tmp_path: Path) -> N
 def test_a_model_judges_the_boxes_that_it_has_learnt(tmp_path: Path) -> None:
     """Those of another preset were scored as if it knew them."""
     model, file = tmp_path / "model.onnx", tmp_path / "config.toml"
+    file.write_text("[proposals]\nkappa = 0.4\n[tracker]\nmin_hits = 4\n")
+    PipelineOptions(model=model).configuration()  # a part of a configuration does not say which boxes
     file.write_text(config_to_toml(preset("paper").changed("classifier", model=model)))
-    PipelineOptions(model=model).configuration()  # a configuration of something else, perhaps
-    (tmp_path / "recipe.toml").touch()
     with pytest.raises(ValueError, match=rf"expected --config {file} with --model {model}, which knows the boxes"):
         PipelineOptions(model=model).configuration()
     with pytest.raises(ValueError, match="expected --preset foreglow with --model foreglow, which knows the boxes"):

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 from foreglow.command_line import argument, file, flag, folder, option, output_file
 from foreglow.own_files import RECORDING, VIEW
-from foreglow.own_folders import TRAINING
 from foreglow.plugins import raising
 
 if TYPE_CHECKING:
@@ -98,14 +97,16 @@ def check_boxes(name: str, model: Path, configuration: PipelineConfig) -> None:
         ValueError: If they are others, on which the scores of the model, given by the option `name`, mean nothing.
     """
     from foreglow.config import PRESETS, read_config
+    from foreglow.files import read_toml
 
-    known: PipelineConfig | None
+    known: PipelineConfig | None = None
     if str(model) in PRESETS:
         known, wanted = PRESETS[str(model)], f"--preset {model}"
     else:
         file = model.with_name("config.toml")  # also beside a model of another name, as a checkpoint that was kept
-        is_trainings = file.is_file() and file.with_name(TRAINING).is_file()
-        known, wanted = read_config(file) if is_trainings else None, f"--config {file}"
+        wanted, fields = f"--config {file}", read_toml(file).get("proposals") if file.is_file() else None
+        if isinstance(fields, dict) and fields.keys() >= type(configuration.proposals).model_fields.keys():
+            known = read_config(file)  # a whole one, as a training writes it
     if known is not None and configuration.proposals != known.proposals:
         raise ValueError(
             f"proposals: expected {wanted} with {name} {model}, which knows the boxes of these proposals only"
@@ -120,6 +121,7 @@ def _check_own_model(config: Path, model: Path | None) -> None:
         ValueError: If there is another one beside it.
     """
     from foreglow.files import file_digest
+    from foreglow.own_folders import TRAINING
 
     own = config.with_name("model.onnx")
     is_trainings = config.name == "config.toml" and own.is_file() and config.with_name(TRAINING).is_file()
