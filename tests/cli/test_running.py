@@ -342,7 +342,9 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
     shipped = foreglow_command("run", shipped_drive(), "--out", tmp_path / "a", "--limit", 4)
     (line,) = [line for line in shipped.stdout.splitlines() if line.startswith("camera: ")]
     assert line.startswith("camera: like pvdn_")
-    assert "the model has seen simulated drives only" in line
+    assert "the model has seen simulated drives only, so look at the result" in line
+    others = foreglow_command("run", folder, "--out", tmp_path / "c", "--config", config)
+    assert "the model has seen simulated drives only, and other boxes, so look at the result" in others.stdout
     made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
     assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"
 

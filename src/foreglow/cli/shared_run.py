@@ -33,6 +33,9 @@ BY_OPTION = "--white-level says so"
 WINDOW_S = 20.0
 """How far back the plots of the viewer's window go."""
 
+WHERE = {"region_xyxy_px", "backend", "dispatch"}
+"""Fields of the proposals that do not change what a box is."""
+
 
 def open_frames(source: Path, reading: SourceOptions, vehicle: VehicleOptions) -> FrameSource:
     """The frames of `source`; workers call it, too."""
@@ -173,10 +176,13 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     from foreglow.config import PRESETS
 
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
-    model = configuration.classifier.model
-    if model is None or all(model != other.classifier.model for other in PRESETS.values()):
+    model, boxes = configuration.classifier.model, configuration.proposals.model_dump(exclude=WHERE)
+    known = [each.proposals for each in PRESETS.values() if model is not None and each.classifier.model == model]
+    if not known:
         return f"camera: {like}"
-    return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
+    others = "" if boxes == known[0].model_dump(exclude=WHERE) else ", and other boxes"
+    end = "so look at the result before you trust it"
+    return f"camera: {like}; the model has seen simulated drives only{others}, {end}"
 
 
 def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_CONFIGURATION) -> list[str]:
