@@ -90,9 +90,7 @@ def beam(
         return sinks
 
     summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit, origin=origin)
-    is_interrupted = not summary.is_complete and (origin is None or summary.num_frames < (reading.limit or 0))
-    notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
-    finish(summary, out, *notes, is_interrupted=is_interrupted)
+    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))
 
 
 def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:

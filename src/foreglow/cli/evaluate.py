@@ -151,7 +151,7 @@ def _examined_model(
     with tempfile.TemporaryDirectory() as temporary:
         folder = out or Path(temporary)
         summary = run_in_parallel(Opening(open_labelled, (split,)), str(split), folder, configuration, workers)
-        if not summary.is_complete:
+        if summary.is_interrupted:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")
     classifier = configuration.classifier

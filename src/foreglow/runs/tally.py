@@ -124,11 +124,13 @@ class Tally:
         config: PipelineConfig,
         *,
         is_complete: bool,
+        is_interrupted: bool = False,
         dispatch: str | None,
         processor: str | None = None,
         num_lost_parts: int = 0,
         topic: str | None = None,
         on_error: str | None = None,
+        source_lack: str | None = None,
     ) -> RunSummary:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
@@ -136,12 +138,14 @@ class Tally:
             source: Where the frames came from; a path becomes absolute, since it is read from anywhere.
             skipped: One line for each file that was skipped.
             config: Configuration of the pipeline.
-            is_complete: Whether all frames were run.
+            is_complete: Whether all frames were run that the source has.
+            is_interrupted: Whether the run was interrupted.
             dispatch: As `Pipeline.dispatch`.
             processor: Name of the processor that it ran on; None for that of this machine.
-            num_lost_parts: As in `RunSummary`, as are the next two.
+            num_lost_parts: As in `RunSummary`, as are the next three.
             topic: The topic of a recording that was read.
             on_error: What bad frames did.
+            source_lack: What the source lacks: then the run is not complete either.
         """
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
@@ -153,7 +157,9 @@ class Tally:
             source_digest=origin_digest(Path(name)),
             topic=topic,
             on_error=on_error,
-            is_complete=is_complete,
+            source_lack=source_lack,
+            is_complete=is_complete and source_lack is None,
+            is_interrupted=is_interrupted,
             is_classified=is_classified,
             num_frames=self.num_frames,
             num_proposals=self._num_proposals,
