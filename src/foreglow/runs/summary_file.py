@@ -73,6 +73,9 @@ class RunSummary(_Strict):
         num_with_camera: Frames with a calibration; None in folders of earlier versions, like the next two.
         num_with_motion: Frames with the motion of the car.
         num_with_road: Frames with the road ahead.
+        calibration: Of the first frame that had one, as its file has it: the ranges were made with it. None if none
+            had, and in folders of earlier versions.
+        beam_calibration: That of the beam, if it was made with another one than the ranges of the run that it takes.
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
@@ -107,6 +110,8 @@ class RunSummary(_Strict):
     num_with_camera: Count | None = None
     num_with_motion: Count | None = None
     num_with_road: Count | None = None
+    calibration: Mapping[str, Mapping[str, Any]] | None = None
+    beam_calibration: Mapping[str, Mapping[str, Any]] | None = None
     beam: BeamSummary | None
     num_skipped: Count
     skipped: Sequence[str]

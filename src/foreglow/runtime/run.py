@@ -183,6 +183,9 @@ def run(
                 num_lost_parts=len(lost_parts(source)),
                 **read,
             )
+            if origin is not None and origin.calibration not in (None, summary.calibration):
+                calibrations = {"calibration": origin.calibration, "beam_calibration": summary.calibration}
+                summary = dataclasses.replace(summary, **calibrations)
             if folder is not None:
                 summary = folder.publish(pipeline.config, summary)
     if interrupt.is_set and not is_cut:  # too late to leave out a frame
