@@ -184,8 +184,8 @@ def run(
                 **read,
             )
             if origin is not None and origin.calibration not in (None, summary.calibration):
-                calibrations = {"calibration": origin.calibration, "beam_calibration": summary.calibration}
-                summary = dataclasses.replace(summary, **calibrations)
+                own = summary.calibration
+                summary = dataclasses.replace(summary, calibration=origin.calibration, beam_calibration=own)
             if folder is not None:
                 summary = folder.publish(pipeline.config, summary)
     if interrupt.is_set and not is_cut:  # too late to leave out a frame
