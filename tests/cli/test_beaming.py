@@ -165,6 +165,10 @@ def test_a_run_without_calibration_is_told(tmp_path: Path, images: Path, equipme
     found = foreglow_command("beam", run, "--out", tmp_path / "out", *equipment)
     assert found.exit_code == 0, found.output
     assert found.stderr == f"foreglow: {run}: made without a calibration, so that its tracks have no ranges\n"
+    assert "nothing has a range" not in found.stdout  # no estimator was asked
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["calibration"] is None
+    assert summary["beam_calibration"] is not None
 
 
 def test_an_image_that_was_damaged_since_the_run_is_named(

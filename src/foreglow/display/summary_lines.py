@@ -29,7 +29,7 @@ def run_lines(summary: RunSummary, out: Path) -> list[str]:
     if not summary.is_classified:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
     if summary.num_ranged == 0 and summary.num_with_camera:
-        if summary.num_scored:
+        if summary.num_scored and summary.calibration is not None:  # else a run without one is taken
             lines.append(
                 "nothing has a range: the estimator found none; psd_3d, psd_3d_plus and psd_2d need the road ahead "
                 "(--can-log, or --map with --poses)"

@@ -75,7 +75,7 @@ class RunSummary(_Strict):
         num_with_road: Frames with the road ahead.
         calibration: Of the first frame that had one, as its file has it: the ranges were made with it. None if none
             had, and in folders of earlier versions.
-        beam_calibration: That of the beam, if it was made with another one than the ranges of the run that it takes.
+        beam_calibration: That of the beam, if the ranges of the run that it takes were made with another one or none.
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.

@@ -183,7 +183,7 @@ def run(
                 num_lost_parts=len(lost_parts(source)),
                 **read,
             )
-            if origin is not None and origin.calibration not in (None, summary.calibration):
+            if origin is not None and origin.calibration != summary.calibration:
                 own = summary.calibration
                 summary = dataclasses.replace(summary, calibration=origin.calibration, beam_calibration=own)
             if folder is not None:
