@@ -154,7 +154,7 @@ def _examined_model(
         summary = run_in_parallel(opening, str(split), folder, configuration, workers, looks)
         for line in bits_notes(looks.brightest, configuration.guard.white_level):
             typer.echo(line)
-        if not summary.is_complete:
+        if summary.is_interrupted:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")
     classifier = configuration.classifier

@@ -163,7 +163,7 @@ def _run(
 ) -> tuple[LiveSummary, LiveEndedError | None]:
     """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen.
 
-    Until the loop has the sinks, which are made one by one, an error discards them.
+    Until the loop has begun, an error discards the sinks, which are made one by one.
 
     Returns:
         What came of the run, and why it could not go on, if so.
@@ -174,12 +174,14 @@ def _run(
     from foreglow.runtime.live import LiveEndedError, LiveLoop
     from foreglow.runtime.live.kept_results import KeptResults
     from foreglow.runtime.live.notify import ServiceNotifier
-    from foreglow.runtime.run import PATIENCE_S, InterruptFlag, discarding
+    from foreglow.runtime.run import PATIENCE_S, InterruptFlag, discarding, open_each
+    from foreglow.whole_files import entered
 
-    with contextlib.nullcontext() if out is None else OutputFolder(out) as results:
+    with contextlib.nullcontext() if out is None else entered(lambda: OutputFolder(out)) as results:
         sinks: list[LiveSink] = []
+        error = None
         with discarding(sinks):
-            sinks.extend(made_sinks)
+            open_each(made_sinks, sinks)
             notifier = ServiceNotifier()
             kept = None if results is None else KeptResults(results)
             loop = LiveLoop(
@@ -189,14 +191,14 @@ def _run(
                 outputs=outputs,
                 sinks=[LiveStatus(), *sinks, *([] if kept is None else [kept])],
                 beat=notifier.beat,
+                at_begin=sinks.clear,
                 at_end=notifier.close,
                 give_up_s=give_up_s,
             )
-        error = None
-        try:
-            summary = loop.run(limit)
-        except LiveEndedError as ended:
-            summary, error = ended.summary, ended
+            try:
+                summary = loop.run(limit)
+            except LiveEndedError as ended:
+                summary, error = ended.summary, ended
         with InterruptFlag(PATIENCE_S):
             notifier.stop()
             if results is not None and kept is not None:
@@ -212,12 +214,12 @@ def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None
     from foreglow.display.live_status import live_lines
 
     lines = [*live_lines(summary), *notes]
-    if error is None and not summary.run.is_complete:
+    if error is None and summary.run.is_interrupted:
         lines.append("interrupted")
     typer.echo("\n".join([*lines, *([] if out is None else [f"look in {out}"])]))
     if error is not None:
         raise error
     if summary.sink_errors:
         raise OSError(f"not recorded: {'; '.join(summary.sink_errors)}")
-    if not summary.run.is_complete:
+    if summary.run.is_interrupted:
         raise typer.Exit(130)

@@ -120,14 +120,16 @@ def _say_left_out(played: FrameSource, num_frames: int) -> None:
     Raises:
         ValueError: If that were all of them.
     """
-    from foreglow.datasets import lost_parts
+    from foreglow.datasets import how_read, lost_parts
     from foreglow.display.summary_lines import left_out_lines
     from foreglow.plugins import printable
     from foreglow.runs.origin import origin_name
     from foreglow.runtime.run import check_readable
 
     check_readable(origin_name(played), num_frames, played.skipped)
-    for line in [*left_out_lines(played.skipped, len(lost_parts(played))), *source_notes(played)]:
+    lack = how_read(played)["source_lack"]
+    lines = [*left_out_lines(played.skipped, len(lost_parts(played))), *source_notes(played)]
+    for line in [*lines, *([] if lack is None else [lack])]:
         typer.echo(printable(line))
 
 

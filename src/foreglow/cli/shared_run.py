@@ -54,8 +54,9 @@ def run_frames(
 ) -> RunSummary:
     """Runs the pipeline over `frames`, with a progress bar; `origin` as in `runtime.run`."""
     from foreglow.runtime import OutputFolder, run
+    from foreglow.whole_files import entered
 
-    with OutputFolder(out) as folder:
+    with entered(lambda: OutputFolder(out)) as folder:
         sinks = itertools.chain([progress_sink(frames, limit)], make_sinks(folder))
         return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name, origin=origin)
 
@@ -71,28 +72,19 @@ def run_in_parallel(
     """Runs a pipeline over each sequence on its own, with a progress bar; `looks` sees the frames."""
     from foreglow.display.progress import PartsProgress
     from foreglow.runtime import OutputFolder, run_apart
+    from foreglow.whole_files import entered
 
-    with PartsProgress(opening().num_frames) as progress:
-        folder = OutputFolder(out)
+    with PartsProgress(opening().num_frames) as progress, entered(lambda: OutputFolder(out)) as folder:
         return run_apart(opening, configuration, folder, workers, progress=progress, source_name=name, watcher=looks)
 
 
-def finish(summary: RunSummary, out: Path, *more: str, is_interrupted: bool | None = None) -> None:
-    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted.
-
-    Args:
-        summary: The run's.
-        out: Where its results are.
-        more: The further lines.
-        is_interrupted: Whether it was interrupted itself; None if that is the only reason for being incomplete.
-    """
+def finish(summary: RunSummary, out: Path, *more: str) -> None:
+    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted."""
     from foreglow.display.summary_lines import run_lines
 
-    if is_interrupted is None:
-        is_interrupted = not summary.is_complete
-    *lines, last = run_lines(summary, out, is_interrupted=is_interrupted)
+    *lines, last = run_lines(summary, out)
     typer.echo("\n".join([*lines, *more, last]))
-    if is_interrupted:
+    if summary.is_interrupted:
         raise typer.Exit(130)
 
 
@@ -260,12 +252,17 @@ def viewer_sinks(options: ViewOptions, configuration: PipelineConfig, lux_of: Lu
 
     has_lux = lux_of is not None
     num_columns = read_headlamps(configuration.beam.headlamps).num_columns
-    outputs: list[RrdFile | ViewerWindow] = []
-    if options.save is not None:
-        outputs.append(RrdFile(options.save, blueprint(has_lux=has_lux)))
-    if options.view:
-        outputs.append(ViewerWindow(blueprint(has_lux=has_lux, window_s=WINDOW_S), _note))
-    return [RerunSink(outputs, num_columns=num_columns, lux_of=lux_of)]
+    with contextlib.ExitStack() as discarding:
+        outputs: list[RrdFile | ViewerWindow] = []
+        if options.save is not None:
+            outputs.append(RrdFile(options.save, blueprint(has_lux=has_lux)))
+            discarding.callback(outputs[-1].discard)
+        if options.view:
+            outputs.append(ViewerWindow(blueprint(has_lux=has_lux, window_s=WINDOW_S), _note))
+            discarding.callback(outputs[-1].discard)
+        sink = RerunSink(outputs, num_columns=num_columns, lux_of=lux_of)
+        discarding.pop_all()
+    return [sink]
 
 
 def _note(line: str) -> None:
