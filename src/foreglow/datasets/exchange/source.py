@@ -24,6 +24,7 @@ from foreglow.datasets.exchange.marks import (
     vehicles_of,
 )
 from foreglow.datasets.image_folder import (
+    MAX_STEP,
     earlier_name,
     frame_numbers,
     has_earlier,
@@ -243,7 +244,21 @@ class LabelFile(LabelledSource):
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
         first_id = self.sequence(image_id).image_ids[0]
-        return (self._steps[image_id][0] - self._steps[first_id][0]) / self.rate_hz
+        return (self._steps[image_id][0] - self._steps[first_id][0]) / self.rate_hz + self._pauses_s[image_id]
+
+    @functools.cached_property
+    def _pauses_s(self) -> dict[int, float]:
+        """By image, the least time for which the camera was off before it: between photographs that are of no drive."""
+        found: dict[int, float] = {}
+        for sequence in self._sequences:
+            paths = [self.image_path(image_id) for image_id in sequence.image_ids]
+            are_there = [self._video is None and path.is_file() for path in paths]
+            pauses = [
+                MAX_STEP.total_seconds() if all(are_there[k : k + 2]) and not is_one_drive(*paths[k : k + 2]) else 0.0
+                for k in range(len(paths) - 1)
+            ]
+            found |= zip(sequence.image_ids, itertools.accumulate(pauses, initial=0.0), strict=True)
+        return found
 
     @functools.cached_property
     def _steps(self) -> dict[int, tuple[int, dict[int, str]]]:
