@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.datasets import open_labelled
 from foreglow.datasets.exchange import LabelFile, Mark, write_labels_file
-from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet
+from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet, numbered
 from tests.datasets.video.test_video_file import make_video
 
 
@@ -97,3 +97,9 @@ def test_a_light_that_is_numbered_is_of_one_vehicle(tmp_path: Path, kind: str) -
     source = LabelFile(path, clip)
     vehicles = [{each.oid: each.instances[0].iid for each in source.annotations(image_id)} for image_id in (2, 4)]
     assert vehicles[0] == vehicles[1] == {4: 7, 3: 8}
+
+
+def test_new_numbers_are_such_as_every_tool_keeps() -> None:
+    marks = (Mark(Kind.LIGHT, (5, 8), oid=2**53, iid=0), Mark(Kind.LIGHT, (9, 8), oid=0), Mark(Kind.LIGHT, (20, 8)))
+    (image,) = numbered([ImageLabels("a.png", (96, 72), marks)])
+    assert [(mark.oid, mark.iid) for mark in image.marks] == [(2**53, 0), (0, 1), (1, 2)]

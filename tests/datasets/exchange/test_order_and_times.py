@@ -9,11 +9,14 @@ import cv2
 import numpy as np
 import pytest
 
+from foreglow.classifier.inputs import InputMaker, InputSpec
 from foreglow.datasets import PVDN, ImageFolder
 from foreglow.datasets.exchange import LABEL_FORMATS, LabelFile, Mark, labels_of, write_labels_file, write_split
 from foreglow.datasets.exchange.marks import ImageLabels, Kind, LabelSet
-from foreglow.datasets.images import png
+from foreglow.datasets.images import png, read_image
 from foreglow.datasets.labelled import LabelledSource
+from foreglow.types import Proposals
+from tests.datasets.test_sources import make_photograph
 from tests.datasets.video.test_damage import make_stream
 
 
@@ -122,3 +125,20 @@ def test_recordings_in_one_video_are_drives_of_their_own(tmp_path: Path) -> None
     assert [own.time_s(image_id) for image_id in own.frame_ids] == pytest.approx([0.0, 2.2, 0.0, 0.72])
     earlier = {frame.frame: frame.earlier for frame in own}
     assert {number: frame is not None for number, frame in earlier.items()} == {3: False, 58: True, 62: False, 80: True}
+
+
+def test_photographs_are_no_moments_of_one_drive(tmp_path: Path) -> None:
+    """None is what was there shortly before another, whether or not that has labels."""
+    for number, minute in enumerate((0, 0, 1, 2, 3, 4, 5, 6, 7, 7)):
+        make_photograph(tmp_path / f"{number}.jpg", f"2026:11:27 18:{minute:02d}:00", seed=number)
+    height_px, width_px = read_image(tmp_path / "0.jpg").shape
+    images = tuple(ImageLabels(f"{number}.jpg", (width_px, height_px)) for number in (0, 1, 5, 8, 9))
+    write_labels_file(tmp_path / "labels.xml", LabelSet(images), "cvat")
+    source = LabelFile(tmp_path / "labels.xml")
+    assert [source.time_s(number) for number in source.frame_ids] == pytest.approx(
+        [0, 1 / 18, 5 / 18 + 2, 8 / 18 + 4, 9 / 18 + 4]
+    )
+    assert all(frame.earlier is None for frame in source)
+    maker = InputMaker(InputSpec(size_px=8, lag_s=0.25, num_features=7))
+    boxes = Proposals(np.array([[1, 1, 9, 9]], np.int32))
+    assert [maker.make(frame, boxes).features[0, 6] for frame in source] == [0] * 5

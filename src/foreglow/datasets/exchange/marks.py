@@ -7,7 +7,7 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import PurePosixPath
@@ -163,8 +163,7 @@ def numbered(images: Sequence[ImageLabels]) -> list[ImageLabels]:
     marks = [mark for image in images for mark in image.marks]
     given = {mark.iid for mark in marks if mark.iid is not None}
     tracks = {mark.track for mark in marks if mark.track is not None}
-    iids = itertools.count(1 + max(given | tracks, default=-1))
-    oids = itertools.count(1 + max((mark.oid for mark in marks if mark.oid is not None), default=-1))
+    iids, oids = _free(given | tracks), _free({mark.oid for mark in marks if mark.oid is not None})
 
     def new_iid(mark: Mark) -> int:
         return next(iids) if mark.track is None or mark.track in given else mark.track
@@ -174,6 +173,12 @@ def numbered(images: Sequence[ImageLabels]) -> list[ImageLabels]:
 
     lights = _filled(images, "iid", (Kind.LIGHT, Kind.DOUBTFUL), lambda mark: mark.track, new_iid)
     return _filled(lights, "oid", (Kind.LIGHT, Kind.VEHICLE), vehicle_known_by, lambda _: next(oids))
+
+
+def _free(taken: Collection[int]) -> Iterator[int]:
+    """Numbers that are not taken: above all of these, or from 0 on where not every tool keeps numbers above."""
+    first = 1 + max(taken, default=-1)
+    return itertools.count(first) if first < MAX_NUMBER // 2 else (n for n in itertools.count() if n not in taken)
 
 
 def _filled(

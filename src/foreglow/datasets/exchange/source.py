@@ -25,6 +25,7 @@ from foreglow.datasets.exchange.marks import (
     vehicles_of,
 )
 from foreglow.datasets.image_folder import (
+    MAX_STEP,
     earlier_name,
     frame_numbers,
     has_earlier,
@@ -157,14 +158,15 @@ class LabelFile(LabelledSource):
                 if frame.frame == number:
                     return self._checked(frame, image_id)
             raise ValueError(self._missing(number))
-        frame = self._at(self.image_path(image_id), self._steps[image_id])
+        frame = self._at(self.image_path(image_id), self._steps[image_id], self._pauses_s[image_id])
         return self._checked(frame, image_id, self._beside(image_id))
 
-    def _at(self, path: Path, step: int) -> Frame:
+    def _at(self, path: Path, step: int, pauses_s: float) -> Frame:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
         image, chroma = read_coloured_image(path)
-        return Frame(image, self._time_ns(step), path=str(path), red_chroma=chroma)
+        timestamp_ns = self._time_ns(step) + round(1e9 * pauses_s)
+        return Frame(image, timestamp_ns, path=str(path), red_chroma=chroma)
 
     def _time_ns(self, step: int) -> int:
         return round(step * 1e9 / self.rate_hz)
@@ -178,7 +180,7 @@ class LabelFile(LabelledSource):
             return None
         if not is_one_drive(drive[earlier], drive[step]):
             return None
-        return self._at(drive[earlier], earlier)
+        return self._at(drive[earlier], earlier, self._pauses_s[image_id])
 
     def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
         """By step, the images in the folder of a sequence; empty if nobody knows when these, or labelled ones, were."""
@@ -265,8 +267,23 @@ class LabelFile(LabelledSource):
 
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
-        self._image(image_id)
-        return (self._steps[image_id] - self._steps[self.sequence(image_id).image_ids[0]]) / self.rate_hz
+        first_id = self.sequence(image_id).image_ids[0]
+        steps = self._steps[image_id] - self._steps[first_id]
+        return steps / self.rate_hz + self._pauses_s[image_id]
+
+    @functools.cached_property
+    def _pauses_s(self) -> dict[int, float]:
+        """By image, the least time for which the camera was off before it: between photographs that are of no drive."""
+        found: dict[int, float] = {}
+        for sequence in self._sequences:
+            paths = [self.image_path(image_id) for image_id in sequence.image_ids]
+            are_there = [self._video is None and path.is_file() for path in paths]
+            pauses = [
+                MAX_STEP.total_seconds() if all(are_there[k : k + 2]) and not is_one_drive(*paths[k : k + 2]) else 0.0
+                for k in range(len(paths) - 1)
+            ]
+            found |= zip(sequence.image_ids, itertools.accumulate(pauses, initial=0.0), strict=True)
+        return found
 
     def _missing(self, number: int) -> str:
         return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
