@@ -39,7 +39,7 @@ def test_directions_of_boxes(azimuth_rad: float, elevation_rad: float, width_rad
 
 def test_the_elevation_is_that_of_the_middle_of_a_box_in_a_rolled_mount_as_well() -> None:
     """It was that of its left edge, so that lamps in wide boxes were taken for light on the road."""
-    frame, tracks = frame_at(0), tracks_of([[700, 500, 900, 520]], [80.0])
+    frame, tracks = frame_at(0), tracks_of([np.array([700.0, 500.0, 900.0, 520.0])], [80.0])
     assert frame.camera is not None
     rolled = Pose(frame.camera.vehicle_from_camera.position_m, rotation(roll_rad=0.3))
     camera = dataclasses.replace(frame.camera, vehicle_from_camera=rolled)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.lab.studies.simulator.run import _real_statistics
+from foreglow.lab.studies.simulator.run import real_statistics
 from tests.datasets.tiny_pvdn import edit, labelled_vehicle, make_pvdn, write
 
 
@@ -22,6 +22,6 @@ def test_leads_of_a_set_of_any_rate_are_in_frames_of_pvdn(tmp_path: Path, rate_h
         edit(path, "info", value={"rate_hz": rate_hz})
         for index in range(5):
             edit(path, "images", index, "timestamp", value=None)
-    found = _real_statistics(root)
+    found = real_statistics(root)
     assert found.num_indirect_first == 1
     assert found.lead_frames.median == pytest.approx(frames)
