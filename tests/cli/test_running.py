@@ -395,3 +395,8 @@ def test_a_raw_stream_says_its_rate(tmp_path: Path, config: Path) -> None:
         assert result.exit_code == 0, result.output
         assert f"{path}: a raw stream has no times: taken for 50 frames a second" in result.stdout
         shutil.rmtree(tmp_path / "out")
+
+
+def test_nothing_lies_beside_the_root() -> None:
+    line = complaint("run", "/")
+    assert line == "foreglow: /: nothing lies beside it; name the folder for the results with --out\n"
