@@ -393,3 +393,8 @@ def test_what_is_no_configuration_or_plug_in() -> None:
         ValueError, match=r"policy: .* with the methods command, shone, reset; str lacks command, shone, reset"
     ):
         Pipeline(policy="low")  # type: ignore[arg-type]
+
+
+def test_a_path_is_no_frames() -> None:
+    with pytest.raises(TypeError, match=r"expected frames, such as foreglow\.open_source\('drive\.mp4'\), got a path"):
+        next(Pipeline(REFERENCE).run(Path("drive.mp4")))  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
@@ -280,7 +281,13 @@ class Pipeline:
         return FrameResult(frame.frame, frame.timestamp_ns, proposals, detections, times_ms, ranges, tracks, beam)
 
     def run(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
-        """The results of `frames`, one by one, in order, after a `reset`."""
+        """The results of `frames`, one by one, in order, after a `reset`.
+
+        Raises:
+            TypeError: If they are no frames but the path of a source.
+        """
+        if isinstance(frames, str | os.PathLike):
+            raise TypeError(f"frames: expected frames, such as foreglow.open_source({str(frames)!r}), got a path")
         self.reset()
         for frame in frames:
             yield self.step(frame)

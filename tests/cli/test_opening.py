@@ -29,7 +29,7 @@ WATCHED = ("/foreglow/", "/contextlib.py")
 """Parts of the names of files whose lines count."""
 
 STEP = 7
-"""Every so many lines one is tried; all of them were, once."""
+"""Every so many lines one is tried."""
 
 
 class Interrupting:

@@ -410,3 +410,8 @@ def test_a_replay_of_images_says_which_rate_is_assumed_as_a_run_does(tmp_path: P
         result = foreglow_command(*command, folder, "--out", tmp_path / command[0])
         assert result.exit_code == 0, result.output
         assert f"{folder}: images have no times: taken for 18 frames a second; " in result.stdout
+
+
+def test_nothing_lies_beside_the_root() -> None:
+    line = complaint("run", "/")
+    assert line == "foreglow: /: nothing lies beside it; name the folder for the results with --out\n"

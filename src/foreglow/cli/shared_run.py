@@ -134,11 +134,13 @@ def folder_beside(source: Path) -> Path:
 
     Raises:
         ValueError: If there is a folder of this name already, and it is not an earlier run on the same source, or the
-            name is too long.
+            name is too long, or there is nothing beside it.
     """
     from foreglow.runs.summary_file import read_summary
 
     path = source.resolve() if source.name in ("", "..") else source.absolute()  # a link stays one
+    if not path.name:
+        raise ValueError(f"{source}: nothing lies beside it; name the folder for the results with --out")
     out = path.with_name(f"{path.stem if path.is_file() else path.name}_foreglow")
     try:
         out.lstat()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import resource
 import signal
+import threading
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,9 +37,13 @@ WORDS = "the recording was interrupted, what is made from it is incomplete"
 
 
 class Interrupted(ListSource):
-    """A source in whose third frame Ctrl-C comes."""
+    """A source in whose third frame Ctrl-C comes, which waits until the run has begun."""
+
+    has_begun: threading.Event | None = None
 
     def __iter__(self) -> Iterator[Frame]:
+        if self.has_begun is not None:
+            assert self.has_begun.wait(60)
         for number, frame in enumerate(super().__iter__()):
             if number == 2:
                 signal.raise_signal(signal.SIGINT)
@@ -107,6 +113,20 @@ def test_one_of_a_source_that_broke_in_a_live_run_says_so(tmp_path: Path) -> Non
         loop.run()
     with pytest.warns(UserWarning, match=WORDS):
         assert len(list(open_source(path))) == 2
+
+
+@pytest.mark.parametrize("is_endless", [False, True])
+def test_ctrl_c_cuts_a_replay_and_ends_a_camera(is_endless: bool, tmp_path: Path) -> None:
+    path, config = tmp_path / "drive.mcap", preset("foreglow").commanding()
+    frames, begun = Interrupted(night_frames(5)), threading.Event()
+    frames.has_begun = begun
+    source = Paced(frames, float("inf"))
+    source.is_endless = is_endless
+    recorder = McapRecorder(path)
+    summary = LiveLoop(source, lambda: Pipeline(config), config, sinks=[recorder], at_begin=begun.set).run()
+    assert summary.run.is_interrupted
+    with contextlib.nullcontext() if is_endless else pytest.warns(UserWarning, match=WORDS):
+        open_source(path)
 
 
 def test_one_that_was_not_finished_says_so(tmp_path: Path) -> None:
