@@ -93,18 +93,6 @@ def test_a_split_that_nobody_has_labelled_is_told(split: Path, predictions: Path
     assert "best F – at threshold –; average precision –" in done.stdout, "no threshold is better than another"
 
 
-@pytest.mark.parametrize("is_numbered", [True, False])
-def test_lights_without_numbers_of_vehicles_are_told(split: Path, predictions: Path, is_numbered: bool) -> None:
-    if not is_numbered:
-        for number, path in enumerate((split / "labels/keypoints").iterdir()):
-            content = json.loads(path.read_text())
-            content["annotations"][0]["oid"] = number
-            path.write_text(json.dumps(content))
-    done = foreglow_command("evaluate", split, "--predictions", predictions)
-    assert done.exit_code == 0, done.output
-    assert ("each light is a vehicle of its own" in done.stdout) is not is_numbered
-
-
 def test_points_that_are_there_several_times_are_told(split: Path, predictions: Path) -> None:
     words = ("evaluate", split, "--predictions", predictions)
     assert "counted again" not in foreglow_command(*words).stdout

@@ -183,11 +183,6 @@ def examination_lines(examination: Examination) -> list[str]:
     if examination.num_twins:
         lights = counted(examination.num_twins, "key point")
         lines.append(f"in the labels again, same vehicle, instance and place, and counted again: {lights}")
-    if 1 < breakdown.whole.num == len(examination.vehicles):
-        lines.append(
-            "each light is a vehicle of its own, as where labels have no numbers of vehicles (oid): figures of hidden "
-            "vehicles and of times say nothing then"
-        )
     hidden = breakdown.group("sight", "hidden")
     if hidden is not None:
         lines.append(
