@@ -127,16 +127,6 @@ def test_a_set_without_a_vehicle(tmp_path: Path) -> None:
         run_experiment([PVDN(root)], preset("foreglow"))
 
 
-def test_vehicles_without_numbers_have_no_times(tmp_path: Path) -> None:
-    """Each would be another one in every image, and hardly any found: no method would be early."""
-    root = make_pvdn(tmp_path)
-    vehicle = {"pos": [10, 10], "direct": True, "instances": [{"pos": [10, 10], "iid": 0, "direct": True}]}
-    for path in (root / "labels/keypoints").glob("*.json"):
-        write(path, {"image_id": int(path.stem), "annotations": [vehicle | {"oid": int(path.stem)}]})
-    with pytest.raises(ValueError, match=r"expected vehicles with the same number \(oid\) in all images"):
-        run_experiment([PVDN(root)], preset("foreglow"))
-
-
 def test_a_configuration_without_a_model() -> None:
     with pytest.raises(ValueError, match=r"classifier\.model: expected one, the configuration has none"):
         run_experiment([PVDN(shipped_drive())], preset("paper"))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
 from foreglow.datasets import CategoryConfig, ImageCategory, LabelledSource
-from foreglow.lab.evaluation.boxes.breakdown import SplitLabels, match_lights, read_split_labels
+from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
 from foreglow.lab.evaluation.vehicles import (
     HUMAN_DELAY_S,
     Encounter,
@@ -227,7 +226,6 @@ def _measure(
 ) -> _Split:
     """Runs each detector, by the name of its single frames, and its trackers by name."""
     labels = read_split_labels(dataset)
-    _check_numbered(dataset, labels)
     encounters = read_encounters(dataset, labels, categories)
     detected_s: dict[str, tuple[float, ...]] = {}
     quality: dict[str, tuple[SequenceTracks, ...]] = {}
@@ -248,22 +246,6 @@ def _measure(
         km=km,
         categories=_category_times_s(dataset, encounters),
     )
-
-
-def _check_numbered(dataset: LabelledSource, labels: SplitLabels) -> None:
-    """Passes labels that say which light in several images is one vehicle's: without, nothing has a time.
-
-    Raises:
-        ValueError: If images of a sequence have light, and no vehicle has light in two images.
-    """
-    lit = {image_id: {light.vehicle_id for light in lights} for image_id, lights in labels.lights.items()}
-    vehicles = Counter((labels.sequence_of[image_id], each) for image_id, found in lit.items() for each in found)
-    images = Counter(labels.sequence_of[image_id] for image_id, found in lit.items() if found)
-    if max(images.values(), default=0) > 1 and max(vehicles.values()) == 1:
-        raise ValueError(
-            f"{dataset.root}: expected vehicles with the same number (oid) in all images that show their light, found "
-            "each in one image only"
-        )
 
 
 def _category_times_s(dataset: LabelledSource, encounters: Sequence[Encounter]) -> Mapping[str, tuple[float, ...]]:
