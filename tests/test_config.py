@@ -254,6 +254,7 @@ def test_a_model_is_found_from_anywhere(tmp_path: Path, monkeypatch: pytest.Monk
         config_to_toml(PipelineConfig(classifier=ClassifierConfig(model=Path("model.onnx"))))
     )
     assert read_config("config.toml").classifier.model == tmp_path / "model.onnx"
+    Path("foreglow").touch()  # such as the command itself, beside which a run is made
     assert 'model = "foreglow"' in config_to_toml(preset("foreglow")), "the name of one that ships"
 
 

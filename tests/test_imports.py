@@ -62,7 +62,7 @@ ALLOWED: dict[str, set[str]] = {
     | BASES
     | {"calibration", "maps", "folder_lock", "outputs", "own_folders", "pipeline", "datasets", "runs"},
     "display": VALUES | {"own_files", "files", "whole_files", "plugins", "datasets", "runs", "runtime"},
-    "folder_lock": set(),
+    "folder_lock": {"whole_files"},
     "own_files": {"whole_files"},
     "checksums": {"whole_files"},
     "own_folders": {"checksums", "own_files", "whole_files"},

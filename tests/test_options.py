@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from foreglow.cli.shared_run import open_frames
 from foreglow.command_line import argument, flag, option, with_options
+from foreglow.config import config_to_toml, preset
 from foreglow.options import PipelineOptions, SourceOptions, VehicleOptions, WorkerOptions
 from foreglow.runtime import Opening
 
@@ -89,6 +90,21 @@ def test_a_model_overrides_the_file_and_the_file_the_preset(tmp_path: Path) -> N
     assert configuration.classifier.score_threshold == 0.75
     assert configuration.proposals == PipelineOptions(preset="paper").configuration().proposals
     assert PipelineOptions().configuration() == PipelineOptions(preset="foreglow").configuration()
+
+
+def test_a_model_judges_the_boxes_that_it_has_learnt(tmp_path: Path) -> None:
+    """Those of another preset were scored as if it knew them."""
+    model, file = tmp_path / "model.onnx", tmp_path / "config.toml"
+    file.write_text("[proposals]\nkappa = 0.4\n[tracker]\nmin_hits = 4\n")
+    PipelineOptions(model=model).configuration()  # a part of a configuration does not say which boxes
+    file.write_text(config_to_toml(preset("paper").changed("classifier", model=model)))
+    with pytest.raises(ValueError, match=rf"expected --config {file} with --model {model}, which knows the boxes"):
+        PipelineOptions(model=model).configuration()
+    with pytest.raises(ValueError, match="expected --preset foreglow with --model foreglow, which knows the boxes"):
+        PipelineOptions(preset="paper", model=Path("foreglow")).configuration()
+    for right in (PipelineOptions(config=file), PipelineOptions(preset="paper", model=model)):
+        assert right.configuration().classifier.model == model
+    assert PipelineOptions(config=file, model=model).configuration().proposals == preset("paper").proposals
 
 
 def test_without_files_nothing_is_read() -> None:

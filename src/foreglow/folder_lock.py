@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
+
+from foreglow.whole_files import entered
 
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
@@ -115,5 +118,5 @@ def locked(folders: Mapping[str, Path]) -> Iterator[None]:
     """
     with contextlib.ExitStack() as locks:
         for path in folders.values():
-            locks.enter_context(FolderLock(path, is_of_command=True))
+            locks.enter_context(entered(functools.partial(FolderLock, path, is_of_command=True)))
         yield

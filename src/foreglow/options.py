@@ -78,8 +78,9 @@ class PipelineOptions:
             if self.model is None:
                 _check_own_model(self.config, configuration.classifier.model)
         if self.model is not None:
-            classifier = configuration.classifier.model_copy(update={"model": self.model})
-            configuration = configuration.model_copy(update={"classifier": classifier})
+            configuration = configuration.changed("classifier", model=self.model)
+            if self.config is None:
+                check_boxes("--model", self.model, configuration)
         return configuration
 
     @contextlib.contextmanager
@@ -91,6 +92,29 @@ class PipelineOptions:
             if self.config is None or raising(error) is not None or not _sets(self.config, str(error)):
                 raise
             raise ValueError(f"{self.config}: {error}") from error
+
+
+def check_boxes(name: str, model: Path, configuration: PipelineConfig) -> None:
+    """Passes a configuration with the boxes that the model has learnt, as far as that is known; others need --config.
+
+    Raises:
+        ValueError: If they are others, on which the scores of the model, given by the option `name`, mean nothing.
+    """
+    from foreglow.config import PRESETS, read_config
+    from foreglow.files import read_toml
+
+    known: PipelineConfig | None = None
+    if str(model) in PRESETS:
+        known, wanted = PRESETS[str(model)], f"--preset {model}"
+    else:
+        file = model.with_name("config.toml")  # also beside a model of another name, as a checkpoint that was kept
+        wanted, fields = f"--config {file}", read_toml(file).get("proposals") if file.is_file() else None
+        if isinstance(fields, dict) and fields.keys() >= type(configuration.proposals).model_fields.keys():
+            known = read_config(file)  # a whole one, as a training writes it
+    if known is not None and configuration.proposals != known.proposals:
+        raise ValueError(
+            f"proposals: expected {wanted} with {name} {model}, which knows the boxes of these proposals only"
+        )
 
 
 def _check_own_model(config: Path, model: Path | None) -> None:
@@ -244,10 +268,17 @@ class CaptureOptions:
 class BeamOptions:
     """Headlamps."""
 
-    policy: Annotated[str | None, option("foreglow|paper|low|high|MODULE:NAME", "Beam policy (default: foreglow).")] = (
-        None
-    )
-    lamps: Annotated[Path | None, file("TOML that describes the headlamps (default: those that ship).")] = None
+    policy: Annotated[
+        str | None,
+        option(
+            "foreglow|paper|low|high|MODULE:NAME",
+            "Beam policy (default: that of the configuration, of a run its own, else foreglow).",
+        ),
+    ] = None
+    lamps: Annotated[
+        Path | None,
+        file("TOML that describes the headlamps (default: those of the configuration, else those that ship)."),
+    ] = None
 
     def commanding(self, configuration: PipelineConfig) -> PipelineConfig:
         """`configuration` with a beam, and with the policy and the headlamps given."""

@@ -10,10 +10,10 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO, TypeAlias, TypeVar
 
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
@@ -29,6 +29,8 @@ MAX_LOCKS = 256
 
 _CLEARED: set[Path] = set()
 """Folders that this process has cleared of what killed processes left."""
+
+Made = TypeVar("Made")
 
 Identity: TypeAlias = tuple[int, ...] | None
 """By what a file is known to be the same, unchanged; None where there is none."""
@@ -135,15 +137,24 @@ def undisturbed() -> Iterator[None]:
     if threading.current_thread() is threading.main_thread():
         handlers = {number: signal.getsignal(number) for number in ENDINGS}
     caught = {number: handler for number, handler in handlers.items() if handler not in (signal.SIG_IGN, None)}
-    for number in caught:
-        signal.signal(number, lambda number, _: came.append(number))
     try:
+        for number in caught:
+            signal.signal(number, lambda number, _: came.append(number))
         yield
     finally:
         for number, handler in caught.items():
             signal.signal(number, handler)
         for number in dict.fromkeys(came):
             signal.raise_signal(number)
+
+
+@contextlib.contextmanager
+def entered(make: Callable[[], contextlib.AbstractContextManager[Made]]) -> Iterator[Made]:
+    """As a `with` block of what `make` makes; a signal waits until it is made, and then ends it as an error does."""
+    with contextlib.ExitStack() as leaving:
+        with undisturbed():
+            made = leaving.enter_context(make())
+        yield made
 
 
 @contextlib.contextmanager
@@ -159,8 +170,8 @@ def together() -> Iterator[None]:
         yield
         return
     block = _Block()
-    token = _BLOCK.set(block)
     try:
+        _BLOCK.set(block)
         yield
         with undisturbed():
             block.publish()
@@ -168,7 +179,7 @@ def together() -> Iterator[None]:
         block.discard()
         raise
     finally:
-        _BLOCK.reset(token)
+        _BLOCK.set(None)
         block.release()
 
 

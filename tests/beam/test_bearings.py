@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.beam.bearings import Bearings
+from foreglow.geometry import Pose, rotation
 from foreglow.types import Tracks, TrackState
 from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
 
@@ -34,6 +35,17 @@ def test_directions_of_boxes(azimuth_rad: float, elevation_rad: float, width_rad
     assert bearing.half_width_rad == pytest.approx(width_rad / 2, rel=0.2)
     assert bearing.range_m == pytest.approx(range_m, rel=1e-3)
     assert math.isnan(bearing.direct)
+
+
+def test_the_elevation_is_that_of_the_middle_of_a_box_in_a_rolled_mount_as_well() -> None:
+    """It was that of its left edge, so that lamps in wide boxes were taken for light on the road."""
+    frame, tracks = frame_at(0), tracks_of([np.array([700.0, 500.0, 900.0, 520.0])], [80.0])
+    assert frame.camera is not None
+    rolled = Pose(frame.camera.vehicle_from_camera.position_m, rotation(roll_rad=0.3))
+    camera = dataclasses.replace(frame.camera, vehicle_from_camera=rolled)
+    bearing = Bearings().update(dataclasses.replace(frame, camera=camera), tracks)[0]
+    ahead = rolled.rotation @ camera.rays([800.0, 510.0])
+    assert bearing.elevation_rad == pytest.approx(math.asin(ahead[2]), abs=1e-3)
 
 
 @pytest.mark.parametrize("rate_radps", [-0.4, 0.0, 0.25])

@@ -134,7 +134,10 @@ def test_saturated_image(share: float, fault: GuardFault) -> None:
     [
         (None, 4095, (GuardFault.SATURATED, GuardFault.BLACK)),  # of 12 bits, perhaps
         (None, 3685, (GuardFault.BLACK,)),
-        (None, 4096, ()),
+        (None, 4096, (GuardFault.BLACK,)),
+        (None, 16383, (GuardFault.SATURATED, GuardFault.BLACK)),  # of 14 bits, perhaps
+        (None, 16384, ()),
+        (16383, 4096, ()),
         (None, 940, (GuardFault.SATURATED, GuardFault.BLACK)),
         (4095, 4095, (GuardFault.SATURATED,)),
         (4095, 4080, (GuardFault.SATURATED,)),  # a camera that clips a little below
@@ -145,12 +148,17 @@ def test_saturated_image(share: float, fault: GuardFault) -> None:
         (None, 65535, (GuardFault.SATURATED,)),
     ],
 )
-def test_white_and_black_of_12_and_16_bits(white_level: int | None, value: int, faults: tuple[str, ...]) -> None:
+def test_white_and_black_of_12_to_16_bits(white_level: int | None, value: int, faults: tuple[str, ...]) -> None:
     guard = running(guard_config(white_level=white_level))
     image = np.full((48, 64), value, np.uint16)
     image[:6] = 0  # for contrast
     frame = Frame(image, 25 * FRAME_NS, camera=CAMERA.scaled(64, 48), motion=frame_at(25).motion)
     assert next_check(guard, frame).faults == (GuardFault.RESIZED, *faults)
+
+
+def test_images_of_fewer_bits_than_white_has_are_black() -> None:
+    """They are not those of the camera that is described, or have lost their lower bits."""
+    assert_low(next_check(running(guard_config(white_level=4095)), frame_at(25)), GuardFault.BLACK)
 
 
 def test_black_image() -> None:

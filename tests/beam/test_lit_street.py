@@ -75,6 +75,13 @@ def test_what_is_counted() -> None:
     assert found_in(image_of(*LAMPS)[:, ::-1][:, ::-1]) == 2  # other strides
 
 
+def test_dark_spots_are_no_lamps_of_a_camera_whose_white_is_known() -> None:
+    """A quarter of white is the brightest so far."""
+    deep = image_of(*LAMPS, value=64).astype(np.uint16) * np.uint16(16)
+    assert LitStreet(CONFIG, 4080).num_lamps(deep, CAMERA) == found_in(image_of(*LAMPS, value=64)) == 0
+    assert LitStreet(CONFIG, 1023).num_lamps(deep, CAMERA) == 2
+
+
 def test_without_camera_or_when_it_is_not_wanted_no_road_is_lit() -> None:
     image = image_of(*LAMPS)
     for config, has_camera, expected in (

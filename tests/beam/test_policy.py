@@ -14,6 +14,7 @@ from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.policy import ForeglowPolicy, PaperPolicy
 from foreglow.beam.stage import BeamStage
 from foreglow.config import GuardConfig
+from foreglow.geometry import Pose
 from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode, EgoMotion, Frame, RoadAhead, Tracks, TrackState, Vehicles
 from tests.beam.made_up import box_around, from_origin
@@ -424,6 +425,17 @@ def test_light_far_below_is_no_lamp() -> None:
     """At 10 degrees below nothing but the road in front of the car is seen."""
     low = dataclasses.replace(tracks_at(0, LAMP), boxes_xyxy_px=np.array([box_around(0.0, math.radians(-10), 0.006)]))
     assert not policy().gaps(frame(0), low)
+
+
+def test_lamps_below_a_lorrys_camera_are_lamps() -> None:
+    """A car's lamp 15 m ahead is 7.5 degrees below a camera 2.6 m above the road: it was taken for light on that."""
+    lamp = dataclasses.replace(tracks_at(0, LAMP), boxes_xyxy_px=np.array([box_around(0.0, math.radians(-7.5), 0.006)]))
+    for height_m, num_gaps in ((1.35, 0), (2.6, 1)):
+        ahead = frame(0)
+        assert ahead.camera is not None
+        mount = Pose(np.array([1.8, 0.0, height_m]), ahead.camera.vehicle_from_camera.rotation)
+        ahead = dataclasses.replace(ahead, camera=dataclasses.replace(ahead.camera, vehicle_from_camera=mount))
+        assert len(policy().gaps(ahead, lamp)) == num_gaps
 
 
 def test_a_vehicle_beside_us_does_not_darken_the_whole_beam() -> None:

@@ -29,14 +29,21 @@ def test_a_small_box_far_away_is_seen_as_by_the_camera(camera: Camera) -> None:
     np.testing.assert_allclose(spans, np.repeat(expected[:, np.newaxis], 2, 1), atol=1e-6)
 
 
-@pytest.mark.parametrize("roll_rad", [0.0, 0.5])
+@pytest.mark.parametrize(("roll_rad", "pitch_rad"), [(0.0, 0.0), (0.5, 0.0), (0.0, -0.25)])
 @pytest.mark.parametrize(
-    "box", [[-500, 100, -20, 200], [1200, 900, 1900, 1300], [-90, -90, 1400, 1100], [600, -300, 640, 9]]
+    "box",
+    [
+        [-500, 100, -20, 200],
+        [1200, 900, 1900, 1300],
+        [-90, -90, 1400, 1100],
+        [600, -300, 640, 9],
+        [1150, -140, 1200, -20],
+    ],
 )
-def test_what_lies_beyond_the_image_is_inside_too(box: list[float], roll_rad: float) -> None:
+def test_what_lies_beyond_the_image_is_inside_too(box: list[float], roll_rad: float, pitch_rad: float) -> None:
     """The tracker may expect a vehicle there, or a part of it."""
     lines = Sightlines(LAMPS_M, guard_config())
-    pose = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.0, 0.0, roll_rad))
+    pose = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.0, pitch_rad, roll_rad))
     camera = Camera(1280, 960, (1100.0, 1100.0), (640.0, 480.0), (0.0,) * 5, pose)
     (spans,), _ = lines.spans_rad(camera, np.array([box], float), np.array([60.0]), np.array([1e-6]))
     pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (300, 2))

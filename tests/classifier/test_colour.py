@@ -21,6 +21,7 @@ from foreglow.classifier.colour import EVEN_REDNESS, kinds_by_colour, redness
 from foreglow.datasets import Video, open_source, to_grey
 from foreglow.datasets.images import red_chroma
 from foreglow.types import LIGHT_KINDS, Frame
+from foreglow.types.white import full_scale
 from tests.shared_data import shared_file
 
 REAR = [name.startswith("rear") for name in LIGHT_KINDS]
@@ -75,14 +76,24 @@ def test_only_front_and_rear_change(before: NDArray[np.float32], reds: NDArray[n
     np.testing.assert_allclose(after[:, 1] * before[:, 3], after[:, 3] * before[:, 1], atol=1e-5)
 
 
-def write_video(path: Path) -> Path:
+@pytest.mark.parametrize("white", [1020, 4080])
+def test_bits_do_not_matter(white: int) -> None:
+    """Lamps that show a 16th of their light are as red, also those that are hardly red at all."""
+    colours = lamps() // 8 + np.uint8(20)
+    few = full_scale(frame(colours.astype(np.uint16) * np.uint16(white // 255)), white)
+    np.testing.assert_allclose(redness(few, BOXES), redness(frame(colours), BOXES), atol=0.02)
+
+
+def write_video(
+    path: Path, codec: str = "libx264", pixels: str = "yuv420p", colours: NDArray[np.uint8] | None = None
+) -> Path:
     """A few frames of the lamps."""
     with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream("libx264", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        stream: Any = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, pixels
         stream.options = {"crf": "4"}
         for index in range(3):
-            picture = av.VideoFrame.from_ndarray(lamps(), format="rgb24")
+            picture = av.VideoFrame.from_ndarray(lamps() if colours is None else colours, format="rgb24")
             picture.pts = index
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
@@ -95,6 +106,27 @@ def test_images_and_videos_bring_their_colour(tmp_path: Path) -> None:
     by_video = redness(next(iter(Video(write_video(tmp_path / "lamps.mp4")))), BOXES)
     np.testing.assert_allclose(by_image, redness(frame(lamps()), BOXES))
     np.testing.assert_allclose(by_video[:3], by_image[:3], atol=0.1)
+
+
+CODED = [
+    ("rawvideo", "bgr24", "avi"),
+    ("png", "rgb24", "mov"),
+    ("ffv1", "gbrp16le", "mkv"),
+    ("mjpeg", "yuvj420p", "avi"),
+]
+
+
+@pytest.mark.parametrize(("codec", "pixels", "ending"), CODED)
+def test_a_grey_camera_stays_grey_in_a_video_of_colours(tmp_path: Path, codec: str, pixels: str, ending: str) -> None:
+    grey = np.repeat(lamps()[..., :1], 3, axis=2)
+    (brought, *_) = Video(write_video(tmp_path / f"grey.{ending}", codec, pixels, grey))
+    assert brought.red_chroma is None
+
+
+@pytest.mark.parametrize(("codec", "pixels", "ending"), CODED[:3])
+def test_videos_of_red_green_and_blue_are_as_images(tmp_path: Path, codec: str, pixels: str, ending: str) -> None:
+    (brought, *_) = Video(write_video(tmp_path / f"lamps.{ending}", codec, pixels))
+    np.testing.assert_allclose(redness(brought, BOXES), redness(frame(lamps()), BOXES), atol=0.01)
 
 
 def test_scores_do_not_depend_on_colour_and_kinds_do() -> None:
@@ -116,7 +148,7 @@ def test_scores_do_not_depend_on_colour_and_kinds_do() -> None:
     "chroma", [np.zeros((32, 47), np.uint8), np.zeros((64, 96), np.uint8), np.zeros((32, 48), np.int16)]
 )
 def test_a_chroma_that_does_not_fit(chroma: NDArray[np.uint8]) -> None:
-    with pytest.raises(ValueError, match=r"Frame\.red_chroma: expected shape \(32, 48\), uint8, got"):
+    with pytest.raises(ValueError, match=r"Frame\.red_chroma: expected shape \(32, 48\), uint8 or uint16, got"):
         Frame(np.zeros((64, 96), np.uint8), 0, red_chroma=chroma)
 
 

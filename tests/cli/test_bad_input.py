@@ -104,8 +104,8 @@ def test_broken_split_is_one_line(tmp_path: Path, config: Path) -> None:
 def test_bad_option_is_one_line(
     tmp_path: Path, folder: Path, config: Path, options: Sequence[str], expected: str
 ) -> None:
-    arguments = ["run", folder, "--out", tmp_path / "out", "--config", config, *options]
-    assert expected in complaint(*arguments)
+    usual = [] if "--config" in options else ["--config", config]
+    assert expected in complaint("run", folder, "--out", tmp_path / "out", *usual, *options)
     assert not (tmp_path / "out").exists()
 
 
@@ -199,3 +199,31 @@ def test_pvdn_as_a_whole_names_a_split(tmp_path: Path) -> None:
 
 def test_unknown_data_set() -> None:
     assert "expected pvdn, got 'kitti'" in complaint("download", "kitti")
+
+
+@pytest.mark.parametrize(
+    ("line", "name", "command"),
+    [
+        ("run x --config a.toml --config b.toml", "--config", "run"),
+        ("run x --limit=3 --out y --limit 3", "--limit", "run"),
+        ("labels export x --format cvat --out y.xml --format coco", "--format", "labels export"),
+        ("ros2 beam --can can0 --can can1 --ros-args -r __ns:=/car -r beam:=light", "--can", "ros2 beam"),
+    ],
+)
+def test_an_option_that_is_given_twice(line: str, name: str, command: str) -> None:
+    """The last one counted, and the others had no effect: of two configurations, a user may expect both."""
+    told = complaint(*line.split())
+    assert told.startswith(f"foreglow: {name}: expected once, got it 2 times (see ")
+    assert told.endswith(f" {command} --help)\n")
+
+
+def test_what_may_be_given_twice() -> None:
+    """Flags, what a command takes several of, and what is meant for ROS 2."""
+    for line in ("run nothing --video --video", "simulate --scene a.toml --scene b.toml --out x"):
+        assert "expected once" not in complaint(*line.split())
+
+
+def test_a_limit_on_the_frames_before_one(folder: Path, tmp_path: Path) -> None:
+    """It had no effect: `--frame` alone says how many are read."""
+    line = complaint("stages", folder, "--frame", 2, "--limit", 1, "--out", tmp_path / "stages.png")
+    assert "--limit: expected none: the frames until --frame 2 are read" in line

@@ -133,6 +133,44 @@ def test_what_an_interrupted_run_lacks_its_beam_lacks_too(tmp_path: Path, run: P
     assert json.loads((tmp_path / "whole/summary.json").read_text())["is_complete"] is True
 
 
+@pytest.mark.slow
+def test_another_calibration_than_that_of_the_run_is_told(
+    tmp_path: Path, images: Path, equipment: tuple[object, ...]
+) -> None:
+    run, other = tmp_path / "run", tmp_path / "other.toml"
+    assert foreglow_command("run", images, "--out", run, *equipment[:2]).exit_code == 0
+    same = foreglow_command("beam", run, "--out", tmp_path / "same", *equipment)
+    assert (same.exit_code, same.stderr) == (0, "")
+    text = CALIBRATION.read_text()
+    pitch = re.search(r"pitch_deg = (\S+)", text)
+    assert pitch is not None
+    other.write_text("\n".join(line for line in text.splitlines() if "digest" not in line and not line.startswith("#")))
+    other.write_text(other.read_text().replace(pitch[0], "pitch_deg = 2.5"))
+    for earlier, out in ((run, tmp_path / "out"), (tmp_path / "out", tmp_path / "again")):
+        found = foreglow_command("beam", earlier, "--out", out, "--calibration", other, *equipment[2:])
+        assert found.exit_code == 0, found.output
+        words = "its ranges were made with another calibration, and stay as they are"
+        assert found.stderr == f"foreglow: {earlier}: {words}: mount.pitch_deg was {float(pitch[1])}, is 2.5 now\n"
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["calibration"]["mount"]["pitch_deg"] == float(pitch[1])
+        assert summary["beam_calibration"]["mount"]["pitch_deg"] == 2.5
+    summary = json.loads((tmp_path / "same" / "summary.json").read_text())
+    assert (summary["calibration"]["mount"]["pitch_deg"], summary["beam_calibration"]) == (float(pitch[1]), None)
+
+
+@pytest.mark.slow
+def test_a_run_without_calibration_is_told(tmp_path: Path, images: Path, equipment: tuple[object, ...]) -> None:
+    run = tmp_path / "run"
+    assert foreglow_command("run", images, "--out", run).exit_code == 0
+    found = foreglow_command("beam", run, "--out", tmp_path / "out", *equipment)
+    assert found.exit_code == 0, found.output
+    assert found.stderr == f"foreglow: {run}: made without a calibration, so that its tracks have no ranges\n"
+    assert "nothing has a range" not in found.stdout  # no estimator was asked
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["calibration"] is None
+    assert summary["beam_calibration"] is not None
+
+
 def test_an_image_that_was_damaged_since_the_run_is_named(
     tmp_path: Path, images: Path, equipment: tuple[object, ...]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -168,3 +169,34 @@ def test_frames_that_a_run_left_out_do_not_shift_those_of_a_video(tmp_path: Path
         assert result.exit_code == 0, result.output
         assert f"{number} image" in result.stdout
         guess.unlink()
+
+
+def test_evaluate_says_which_labels_of_a_tool_it_does_not_take(tmp_path: Path) -> None:
+    """Half of the lights have another label, which nobody finds in the figures."""
+    split = make_pvdn(tmp_path)
+    labels, predictions = split / "images" / "labels.xml", tmp_path / "boxes.json"
+    assert foreglow_command("labels", "export", split, "--out", tmp_path / "a.xml").exit_code == 0
+    labels.write_text((tmp_path / "a.xml").read_text().replace('label="light"', 'label="headlight"', 1))
+    predictions.write_text(json.dumps({"5": {"boxes": [[0, 0, 9, 9]], "scores": [0.9]}}))
+    lost = "not taken: 1 x shape labelled 'headlight'"
+    result = foreglow_command("evaluate", labels, "--predictions", predictions, "--out", tmp_path / "report")
+    assert result.exit_code == 0, result.output
+    assert lost in result.stdout
+    assert lost in (tmp_path / "report" / "report.md").read_text()
+    with pytest.warns(UserWarning, match="not taken: 1 x shape labelled 'headlight'"):
+        evaluate_split(labels, predictions)
+
+
+def test_lights_of_unknown_vehicles_are_counted(tmp_path: Path) -> None:
+    split, labels = make_pvdn(tmp_path), tmp_path / "labels.xml"
+    assert foreglow_command("labels", "export", split, "--out", labels).exit_code == 0
+    text = re.sub(r' *<attribute name="[io]id">\d+</attribute>\n', "", labels.read_text(), count=4)
+    labels.write_text(text)
+    result = foreglow_command("labels", "import", labels, "--images", split / "images", "--out", tmp_path / "own")
+    assert result.exit_code == 0, result.output
+    assert "1 of 3 lights have neither oid nor iid: each is of a vehicle of its own" in result.stdout
+    assert "no light is marked as direct" not in result.stdout
+    labels.write_text(text.replace(">true<", ">false<"))
+    result = foreglow_command("labels", "import", labels, "--images", split / "images", "--out", tmp_path / "other")
+    assert result.exit_code == 0, result.output
+    assert "no light is marked as direct: all of it is learnt as light that lamps throw" in result.stdout

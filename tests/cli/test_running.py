@@ -342,16 +342,20 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
     shipped = foreglow_command("run", shipped_drive(), "--out", tmp_path / "a", "--limit", 4)
     (line,) = [line for line in shipped.stdout.splitlines() if line.startswith("camera: ")]
     assert line.startswith("camera: like pvdn_")
-    assert "the model has seen simulated drives only" in line
+    assert "the model has seen simulated drives only, so look at the result" in line
+    others = foreglow_command("run", folder, "--out", tmp_path / "c", "--config", config)
+    assert "the model has seen simulated drives only, and other boxes, so look at the result" in others.stdout
     made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
     assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"
 
 
 @pytest.mark.parametrize(
-    ("factor", "white_level", "is_told"), [(16, None, True), (16, 4080, False), (257, None, False), (257, 4095, False)]
+    ("factor", "white_level", "is_told"),
+    [(16, None, True), (16, 4080, False), (64, None, True), (257, None, False), (257, 4095, False)],
 )
+@pytest.mark.parametrize(("command", "out"), [("run", "out"), ("record", "out.mcap")])
 def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
-    factor: int, white_level: int | None, is_told: bool, tmp_path: Path, config: Path
+    command: str, out: str, factor: int, white_level: int | None, is_told: bool, tmp_path: Path, config: Path
 ) -> None:
     images = tmp_path / "images"
     images.mkdir()
@@ -359,7 +363,7 @@ def test_images_that_seem_to_have_fewer_bits_than_their_type_are_told(
         cv2.imwrite(str(images / f"{number:06d}.png"), night_image(number).astype(np.uint16) * np.uint16(factor))
     if white_level is not None:
         config.write_text(f"{config.read_text()}\n[guard]\nwhite_level = {white_level}\n")
-    ran = foreglow_command("run", images, "--out", tmp_path / "out", "--config", config)
+    ran = foreglow_command(command, images, "--out", tmp_path / out, "--config", config)
     assert ran.exit_code == 0
     assert ("images of 16 bits, none brighter than" in ran.stdout) is is_told
     is_beyond = white_level is not None and factor > 16
@@ -372,10 +376,11 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
     write_can_log(log, [], [(k * 10_000_000, EgoMotion(20.0, 0.0)) for k in range(50)])
     words = ("run", folder, "--preset", "paper", "--config", config, "--can-log", log)
     told = f"{log} says nothing of any frame: expected data of their times (--time-offset)"
-    for number, (offset_s, is_told) in enumerate([(0, False), (100, True)]):
+    few = f"{log}: our motion is known in 1 of 3 frames, and at most 0.5 s after a message: it begins later, ends "
+    for number, (offset_s, is_told, is_few) in enumerate([(0, False, False), (0.1, False, True), (100, True, False)]):
         result = foreglow_command(*words, "--out", tmp_path / f"{number}", "--time-offset", offset_s)
         assert result.exit_code == 0, result.output
-        assert (told in result.stdout) == is_told
+        assert ((told in result.stdout), (few in result.stdout)) == (is_told, is_few)
 
 
 def test_images_that_are_missing_are_told(tmp_path: Path, folder: Path, config: Path) -> None:
@@ -397,3 +402,11 @@ def test_a_raw_stream_says_its_rate(tmp_path: Path, config: Path) -> None:
         assert result.exit_code == 0, result.output
         assert f"{path}: a raw stream has no times: taken for 50 frames a second" in result.stdout
         shutil.rmtree(tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_replay_of_images_says_which_rate_is_assumed_as_a_run_does(tmp_path: Path, folder: Path) -> None:
+    for command in (("run",), ("live", "--speed", 0)):
+        result = foreglow_command(*command, folder, "--out", tmp_path / command[0])
+        assert result.exit_code == 0, result.output
+        assert f"{folder}: images have no times: taken for 18 frames a second; " in result.stdout

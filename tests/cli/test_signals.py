@@ -324,7 +324,7 @@ def test_a_ros_2_node_that_is_interrupted_says_so() -> None:
         def __init__(self, setting):
             pass
 
-        def spin(self, should_stop):
+        def spin(self, should_stop, limit_s):
             print("now", flush=True)
             while not should_stop():
                 time.sleep(0.01)

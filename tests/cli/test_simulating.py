@@ -41,9 +41,31 @@ def scene_of(folder: Path) -> Path:
         vehicles=(VehicleSpec(timetable=((0.0, 90.0), (10.0, -110.0))),),
         ego=EgoSpec(timetable=((0.0, 20.0), (10.0, 220.0))),
     )
+    folder.mkdir(exist_ok=True)
     path = folder / "mine.toml"
     path.write_text(scene_to_toml(single))
     return path
+
+
+def test_a_scene_of_ones_own_keeps_what_no_option_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It became 18 frames a second of 1280x960 in the short exposure, whatever it said, and nothing told."""
+    made: list[tuple[Scene, DatasetConfig]] = []
+    monkeypatch.setattr(
+        "foreglow.cli.simulate._simulate", lambda scenes, _, config, *__: made.append((scenes[0], config))
+    )
+    path = scene_of(tmp_path)
+    own = read_scene(path).model_dump() | {"rate_hz": 10.0, "pair_s": 0.05}
+    own["camera"] |= {"width_px": 320, "height_px": 200}
+    own["sensor"]["exposure"] = "night"
+    path.write_text(scene_to_toml(Scene.model_validate(own)))
+    foreglow("simulate", "--out", tmp_path / "a", "--scene", path)
+    assert made[0][0] == read_scene(path)
+    assert made[0][1].cycle == "night"
+    foreglow("simulate", "--out", tmp_path / "b", "--scene", path, "--fps", 5, "--cycle", "day", "--size", "160x100")
+    scene, config = made[1]
+    assert (scene.rate_hz, scene.sensor.exposure, scene.camera.width_px, config.cycle) == (5.0, "day", 160, "day")
+    both = ("simulate", "--out", tmp_path / "c", "--scene", path, "--scene", scene_of(tmp_path / "other"))
+    assert "--cycle: expected one, as the scenes have both day and night" in complaint(*both)
 
 
 @pytest.fixture(scope="module")
@@ -256,7 +278,7 @@ def test_another_beam_and_nobody_on_the_road(scene_file: Path, tmp_path: Path) -
         (("--out", "unused", "--camera", "nowhere.toml"), "nowhere.toml: no such"),
         (
             ("--out", "unused", "--camera", "phone", "--size", "640x480"),
-            "--camera phone: view.focal_px: expected up to",
+            "--camera phone: view.focal_px: expected up to 642.6 px, as a rendering of 640x480 px has",
         ),
         (("--out", "unused", "--camera", "pvdn_day", "--shares", "best"), "preset: expected one of"),
         (("--out", "unused", "--shares", "best"), "preset: expected one of"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import csv
 import dataclasses
+import itertools
 import json
 import math
 import re
@@ -259,7 +260,10 @@ def test_damaged_curves_are_told_by_their_place(tmp_path: Path, text: str, messa
     ],
 )
 def test_bad_options_are_one_line(tmp_path: Path, options: list[object], given: list[str], message: str) -> None:
-    assert message in complaint(*options, "--out", tmp_path / "run", "--epochs", 1, *given)
+    pairs = dict(zip(options[2::2], options[3::2], strict=True)) | {given[0]: given[1]}
+    assert message in complaint(
+        *options[:2], *itertools.chain(*pairs.items()), "--out", tmp_path / "run", "--epochs", 1
+    )
 
 
 def test_a_device_that_is_not_there_is_said_before_samples_are_made(

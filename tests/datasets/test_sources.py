@@ -4,6 +4,7 @@ import math
 import os
 import sys
 import types
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,26 @@ def test_photographs_of_another_time_are_no_drive(tmp_path: Path) -> None:
     make_photograph(tmp_path / "e.jpg")
     make_photograph(tmp_path / "f.jpg", "0000:00:00 00:00:00")
     assert [frame.sequence for frame in ImageFolder(tmp_path)] == ["", "", "c.jpg", "d.jpg", "e.jpg", "e.jpg"]
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "step_s", "words"),
+    [
+        (18.0, 1.0, "by their Exif data the images took 19 s, 1 a second, and not 1.06 s"),
+        (18.0, 0.1, ""),  # 1 s, of whole ones
+        (1.0, 1.0, ""),
+        (4.0, 1.0, "by their Exif data the images took 19 s, 1 a second, and not 4.75 s"),
+        (18.0, 30.0, ""),  # photographs, each a sequence of its own
+    ],
+)
+def test_photographs_may_say_that_they_took_another_time(
+    tmp_path: Path, rate_hz: float, step_s: float, words: str
+) -> None:
+    for number in range(20):
+        taken = datetime(2026, 11, 20, 18, 0, 0) + timedelta(seconds=int(number * step_s))
+        make_photograph(tmp_path / f"{number:02}.jpg", f"{taken:%Y:%m:%d %H:%M:%S}")
+    _, *others = ImageFolder(tmp_path, rate_hz=rate_hz).notes
+    assert others == ([f"{tmp_path}: {words}"] if words else [])
 
 
 def test_images_of_another_size_are_no_drive(folder: Path) -> None:

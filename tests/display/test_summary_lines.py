@@ -18,6 +18,6 @@ def test_control_characters_of_names_are_shown_and_not_carried_out(tmp_path: Pat
         (tmp_path, r"a\x1b[2Jb.txt"),
         (tmp_path / "run.mcap", r"the first: c\x1b[31m.png: expected a PNG"),
     ):
-        lines = run_lines(summary, out, is_interrupted=False)
+        lines = run_lines(summary, out)
         assert all(line.isprintable() for line in lines)
         assert words in " ".join(lines)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from foreglow.distance.alignment import BOUND_SHARE, LEFT_SIGMA_M, YAW_SIGMA_RAD, RoadAligner, map_alignment
-from foreglow.distance.ribbon import Alignment
+from foreglow.distance.ribbon import Alignment, mapped_standing
+from foreglow.geometry import rotation
 from foreglow.types import EgoMotion, RoadAhead
 from tests.distance.roads import camera, frame, line, road, straight
 from tests.distance.test_markings import NOTHING, marked
@@ -90,3 +91,18 @@ def test_yaw_and_offset_come_from_the_markings_and_fade() -> None:
     assert alignment.left_m == pytest.approx(0.0, abs=0.01)
     assert alignment.left_sigma_m == pytest.approx(LEFT_SIGMA_M, rel=0.01)
     assert alignment.yaw_sigma_rad == pytest.approx(YAW_SIGMA_RAD, rel=0.01)
+
+
+def test_what_the_map_knows_of_our_pose_is_not_corrected_again() -> None:
+    """Poses say how we head and where in the lane we are; the road was turned and shifted once more by the markings."""
+    yaw_rad, left_m = 0.02, 0.4
+    points_m = (straight().points_m - [0.0, left_m, 0.0]) @ rotation(yaw_rad=yaw_rad)
+    posed, image = road(points_m), marked(yaw_rad, left_m)
+    assert mapped_standing(posed) == pytest.approx((yaw_rad, left_m))
+    assert mapped_standing(straight()) == pytest.approx((0.0, 0.0), abs=1e-12)
+    aligner = RoadAligner()
+    for number in range(8):
+        alignment = aligner.align(frame(image, camera(), posed, time_s=number * 0.1))
+    assert alignment.left_m == pytest.approx(0.0, abs=0.08)
+    assert alignment.yaw_rad == pytest.approx(0.0, abs=0.004)
+    assert alignment.left_sigma_m < LEFT_SIGMA_M

@@ -70,6 +70,13 @@ def test_one_marking_tells_no_pitch() -> None:
     assert lane.left_sigma_m > 0.1  # as well as the lane's width is known
 
 
+def test_markings_of_other_lanes_say_nothing_of_the_offset() -> None:
+    """As on a carriageway of three lanes, whose lanes are narrower than half of it."""
+    apart_m = HALF_WIDTH_M / 2 - 0.6
+    assert math.isinf(seen(marked(lanes_m=(apart_m, -apart_m))).left_sigma_m)
+    assert seen(marked(lanes_m=(apart_m + 0.3, -apart_m - 0.3))).left_sigma_m < 0.1
+
+
 def test_without_markings_nothing_is_known() -> None:
     assert seen(NOTHING) == LaneView()
     assert MarkingFinder().find(frame(NOTHING, None, straight())) == LaneView()

@@ -52,6 +52,22 @@ def test_two_directions_are_one_carriageway(tmp_path: Path) -> None:
     assert back.cross_slopes[3] == pytest.approx(0.2 / WIDTH_M, abs=1e-3)
 
 
+def test_two_directions_of_left_hand_traffic_are_one_carriageway(tmp_path: Path) -> None:
+    """They were two roads of a lane each, with a centre line in the middle of ours."""
+    text = document().replace(lanelet(1, "b", "c"), lanelet(1, "c", "b"))
+    road_map = read(tmp_path, text.replace(lanelet(2, "b", "a"), lanelet(2, "a", "b")))
+    assert [line.half_width_m for line in road_map.lines] == pytest.approx([WIDTH_M], abs=0.01)
+    road = road_map.ahead(pose(WIDTH_M * 0.5, 10.0, z=400.1, yaw_deg=90.0))
+    assert road is not None
+    assert road.points_m[0].tolist() == pytest.approx([0.0, -WIDTH_M / 2, 0.1], abs=0.02)
+
+
+def test_lanes_of_one_direction_are_roads_of_their_own(tmp_path: Path) -> None:
+    text = document().replace(lanelet(2, "b", "a"), lanelet(2, "a", "b"))
+    widths_m = [2 * line.half_width_m for line in read(tmp_path, text).lines]
+    assert widths_m == pytest.approx([WIDTH_M, WIDTH_M], abs=0.01)
+
+
 def test_a_lanelet_of_its_own_whose_borders_run_apart(tmp_path: Path) -> None:
     text = document(heights=None).replace(lanelet(2, "b", "a"), "")
     nodes = [f"<nd ref='c{k}'/>" for k in range(6)]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.photometry import NUM_LEDS, IntensityTable, low_beam, matrix_beam
-from foreglow.photometry.matrix import measured_lamp
+from foreglow.photometry.matrix import measured_lamp, with_mirrored_base
 
 Side: TypeAlias = Literal["left", "right"]
 SIDES: tuple[Side, ...] = ("left", "right")
@@ -47,6 +47,23 @@ def test_each_led_shines_where_it_says() -> None:
         assert np.average(elevations, weights=table.sum(1)) == pytest.approx(lamp.elevations_deg[led], abs=0.02)
     assert lamp.azimuths_deg[0] < lamp.azimuths_deg[27]
     assert lamp.elevations_deg[0] < lamp.elevations_deg[-1]
+
+
+@pytest.mark.parametrize("span_deg", [(-90.0, 90.0), (-40.0, 30.0), (-25.0, 60.1)])
+def test_a_mirrored_low_beam_leaves_the_leds_where_they_are(span_deg: tuple[float, float]) -> None:
+    """In a table that reaches further to one side, they were mirrored by half: off by the difference."""
+    azimuths, elevations = np.linspace(*span_deg, 721), np.linspace(-10.0, 10.0, 201)
+    directions = np.radians(np.stack(np.meshgrid(np.arange(-20.0, 21.0), [-3.0, 1.0]), -1).reshape(-1, 2))
+    ahead, left, up = np.cos(directions[:, 0]), np.sin(directions[:, 0]), np.tan(directions[:, 1])
+    azimuth, elevation = np.meshgrid(azimuths, elevations)
+    base = IntensityTable(azimuths, elevations, (5000 + 100 * azimuth + 50 * elevation).astype(np.float32).clip(0))
+    led = IntensityTable(azimuths, elevations, 900 * np.exp(-((azimuth - 5) ** 2) - (elevation - 1) ** 2))
+    lamp = measured_lamp(base, [led], 1)
+    mirrored = with_mirrored_base(lamp)
+    for levels in ([0.0], [1.0]):
+        own = led.towards(np.stack([ahead, left, up], -1)) * levels[0]
+        shone = mirrored.table(levels).towards(np.stack([ahead, left, up], -1))
+        np.testing.assert_allclose(shone, base.towards(np.stack([ahead, -left, up], -1)) + own, atol=20.0)
 
 
 def test_no_gaps_between_the_columns_and_the_lamps_mesh() -> None:

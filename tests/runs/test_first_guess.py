@@ -33,3 +33,15 @@ def test_accepted_boxes_are_lights_of_their_tracks(tmp_path: Path) -> None:
     ]
     assert [mark.oid for mark in guess[5].marks if mark.kind == Kind.VEHICLE] == [12, -1, -2]
     assert guess[6].marks == (), "a frame in which nothing was found is a guess, too"
+
+
+def test_tracks_of_two_parts_of_a_video_are_two_vehicles(tmp_path: Path) -> None:
+    """The tracker counts anew in each; labels of the video are one drive."""
+    results = []
+    for number, (sequence, track) in enumerate([("", 0), ("", 2), ("frame 2", 0), ("frame 2", 1)]):
+        frame = Frame(night_image(), number, number, sequence)
+        result = result_of(frame, BOXES[:1], [0.9])
+        tracks = tracks_of([BOXES[0]], ids=[track], detections=[0])
+        results.append((frame, dataclasses.replace(result, tracks=tracks)))
+    guess = read_guess(write_run(tmp_path / "run", results))
+    assert [[mark.oid for mark in guess[number].marks] for number in range(4)] == [[0, 0], [2, 2], [3, 3], [4, 4]]

@@ -70,7 +70,7 @@ def test_why_nothing_has_a_range(tmp_path: Path, has_camera: bool, num_boxes: in
         camera = Camera(*size_px, (100.0, 100.0), centre_px, (0.0,) * 5, mount)
         frame = dataclasses.replace(frame, camera=camera)
     tally.add(frame, result_of(frame, [[0, 0, 4, 4]] * num_boxes, [0.9] * num_boxes))
-    lines = run_lines(summary_of(tally), tmp_path, is_interrupted=False)
+    lines = run_lines(summary_of(tally), tmp_path)
     told = [line for line in lines if line.startswith("nothing has a range: ")]
     assert len(told) == (words is not None)
     assert all(words is not None and words in line for line in told)

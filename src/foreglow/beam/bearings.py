@@ -149,7 +149,7 @@ class Bearings:
         pixels[: len(boxes), 1] = pixels[len(boxes) :, 1] = middles_px
         forward, left, up = self._caster.cast(camera, pixels).directions.T
         lefts, rights = np.arctan2(left, forward).reshape(2, -1)
-        elevations = np.arcsin(up[: len(boxes)])
+        elevations = np.arcsin(up.reshape(2, -1)).mean(axis=0)  # a mount may be rolled
         return (0.5 * (lefts + rights)).tolist(), elevations.tolist(), (0.5 * (lefts - rights)).tolist()
 
 

@@ -6,9 +6,9 @@ for something between the ranges r1 and r2. From a lamp at (x, y), its border a 
     atan2(r sin(a) - y, r cos(a) - x)   for r = r1 and r = r2                                                   (1)
 
 An LED that shines I(a) candela at level 1 in the direction a, at its brightest within the elevations that matter, may
-give at most E lux at the gap's nearest point. Its level is
+give at most E lux at the gap's nearest point, which is at least d away from the lamp. Its level is
 
-    level = min over a in the gap of E r1^2 / I(a),   at most 1                                                 (2)
+    level = min over a in the gap of E d^2 / I(a),   at most 1;   d = r1 - hypot(x, y)                          (2)
 
 So a gap's edges are as soft as the LEDs' own light, and a gap is wider for something near. Over time, levels fall at
 once and rise linearly, after an LED has not been dimmed for `hold_s`:
@@ -47,6 +47,9 @@ FAR_M = 1e4
 
 FARTHEST_M = 220.0
 """Greatest r1 in (2). Anything further away is protected as if it were here, where the regulations' limits end."""
+
+NEAREST_M = 1.0
+"""Least d in (2)."""
 
 
 class Dimmer:
@@ -87,9 +90,9 @@ class Dimmer:
         """Shape (2, L): 1, except for the LEDs that shine into `gaps`."""
         levels = np.ones((2, self.num_leds))
         for gap in gaps:
-            limit_cd = self._limit_lx * min(gap.near_m, FARTHEST_M) ** 2
             ends_m = _ends_m(gap)
             for lamp, (x, y) in enumerate(self._lamps_m):
+                limit_cd = self._limit_lx * max(min(gap.near_m, FARTHEST_M) - math.hypot(x, y), NEAREST_M) ** 2
                 borders = [math.atan2(left_m - y, forward_m - x) for forward_m, left_m in ends_m]  # (1)
                 first = max(math.floor((min(borders) + REACH_RAD) / STEP_RAD), 0)
                 last = min(math.ceil((max(borders) + REACH_RAD) / STEP_RAD), len(AZIMUTHS_RAD) - 1)

@@ -56,8 +56,10 @@ MIN_CONTRAST = 2.0
 class LitStreet:
     """Decides frame by frame whether the road is lit."""
 
-    def __init__(self, config: LitStreetConfig) -> None:
+    def __init__(self, config: LitStreetConfig, white_level: int | None = None) -> None:
+        """Takes the camera's white; None for that of the least bit depth that holds the brightest pixel so far."""
         self._config = config
+        self._known_white = white_level
         self._caster = RayCaster()
         self._camera: Camera | None = None
         self.reset()
@@ -66,7 +68,7 @@ class LitStreet:
         """Forgets earlier frames: the road is not lit."""
         self._evidence_s = 0.0
         self._timestamp_ns: int | None = None
-        self._white = 255
+        self._white = self._known_white or 255
         self.is_lit = False
 
     def update(self, frame: Frame) -> bool:
@@ -94,7 +96,7 @@ class LitStreet:
         region = image[rows.start * size_px : rows.stop * size_px, : columns * size_px]
         every = 2 if size_px >= 8 else 1  # a lamp is more than a row high there
         lines = region.reshape(-1, size_px, columns * size_px)[:, ::every].max(axis=1)
-        if image.dtype != np.uint8:
+        if image.dtype != np.uint8 and self._known_white is None:
             self._white = max(self._white, (1 << int(image.max()).bit_length()) - 1)
         bright = self._config.min_brightness * self._white
         if lines.max() < bright:

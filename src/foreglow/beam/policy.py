@@ -36,8 +36,11 @@ NEAREST_M = 20.0
 at 10 m would be as wide as the whole beam."""
 
 LOWEST_LAMP_RAD = math.radians(-5.0)
-"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m. Any light further down is light on the road, unless it
-was a lamp before: that passes us."""
+"""Lowest elevation of a lamp: that of a lamp 0.5 m high at 10 m, seen from a car. Any light further down is light on
+the road, unless it was a lamp before: that passes us."""
+
+LOWEST_LAMP_M, BEFORE_LORRY_M = 0.5, 12.0
+"""From higher cameras, such a lamp is seen further down: it is a lamp from here on."""
 
 LEAST_HALF_RAD = math.radians(0.01)
 """Half the width of a gap at least: a box wholly beside the image has none."""
@@ -182,10 +185,11 @@ class ForeglowPolicy(BeamPolicy):
             return []
         now_ns, held = frame.timestamp_ns, self._held
         bearings = self._bearings.update(frame, tracks)
+        lowest_rad = _lowest_rad(float(frame.camera.vehicle_from_camera.position_m[2]))
         seen = {
             track_id: bearing
             for track_id, bearing in bearings.items()
-            if track_id in self._lamps or not self._is_road(bearing)
+            if track_id in self._lamps or not (bearing.is_lamp and bearing.elevation_rad < lowest_rad)
         }
         acted = {track_id: bearing for track_id, bearing in seen.items() if self._is_sure(bearing)}
         if acted or held:
@@ -238,10 +242,6 @@ class ForeglowPolicy(BeamPolicy):
         config = self._config
         wanted = config.min_confidence if bearing.is_lamp else config.min_hidden_confidence
         return bearing.is_plausible and bearing.confidence >= wanted
-
-    def _is_road(self, bearing: Bearing) -> bool:
-        """Whether a track that looks like a lamp must be light on the road."""
-        return bearing.is_lamp and bearing.elevation_rad < LOWEST_LAMP_RAD
 
     def _lamp_gap(self, bearing: Bearing, certain_rad: Collection[float]) -> Gap:
         """The gap that holds the vehicle of a lamp: less on the outside where its other lamp is certain.
@@ -328,6 +328,11 @@ def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
     return make(
         "beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps, methods=METHODS["policy"]
     )
+
+
+def _lowest_rad(height_m: float) -> float:
+    """The lowest elevation of a lamp, seen from a camera at this height; what looks like one below is on the road."""
+    return min(LOWEST_LAMP_RAD, -math.atan2(height_m - LOWEST_LAMP_M, BEFORE_LORRY_M))
 
 
 def _is_coming(bearing: Bearing) -> bool:

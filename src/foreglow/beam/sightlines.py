@@ -84,10 +84,12 @@ class Sightlines:
 def _beyond_rad(camera: Camera, boxes_xyxy_px: Floats) -> Floats:
     """By how much boxes that reach beyond the image extend their spans, shape (M, 4), as these."""
     x1, y1, x2, y2 = boxes_xyxy_px.T
-    (focal_x, focal_y), roll_sine = camera.focal_px, abs(camera.vehicle_from_camera.rotation[2, 1])
+    (focal_x, focal_y), turned = camera.focal_px, camera.vehicle_from_camera.rotation
+    # What is further aside is higher by the roll; what is higher is further aside as the image leans any way.
+    roll_sine, lean_sine = abs(turned[2, 1]), np.hypot(turned[0, 2], turned[1, 2])
     left, right = np.maximum(-x1, 0.0) / focal_x, np.maximum(x2 - camera.width_px, 0.0) / focal_x
     top, bottom = np.maximum(-y1, 0.0) / focal_y, np.maximum(y2 - camera.height_px, 0.0) / focal_y
-    across, upright = (roll_sine + ASIDE) * (left + right), roll_sine * (top + bottom)
+    across, upright = (roll_sine + ASIDE) * (left + right), lean_sine * (top + bottom)
     beyond = np.stack([-right - upright, left + upright, -bottom - across, top + across], axis=1)
     clipped: Floats = np.clip(beyond, -np.pi / 2, np.pi / 2)
     return clipped

@@ -53,7 +53,7 @@ class BeamStage:
         self._min_direct = min(config.min_direct, MOST_MIN_DIRECT)
         self._policy = built(policy, make_policy, config, headlamps)
         self._is_ours = type(self._policy) in POLICIES.values()
-        self._lit_street = LitStreet(lit_street or LitStreetConfig())
+        self._lit_street = LitStreet(lit_street or LitStreetConfig(), guard.white_level)
         self._guard = Guard(guard, headlamps)
 
     def command(

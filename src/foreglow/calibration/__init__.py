@@ -4,7 +4,15 @@ Only our own says where the camera sits in the vehicle; to the others a `Mount` 
 """
 
 from foreglow.calibration.reading import read_calibration, read_intrinsics
-from foreglow.calibration.toml_file import calibration_to_toml
+from foreglow.calibration.toml_file import calibration_to_toml, calibration_values
 from foreglow.calibration.values import ImageChoice, Intrinsics, Mount
 
-__all__ = ["ImageChoice", "Intrinsics", "Mount", "calibration_to_toml", "read_calibration", "read_intrinsics"]
+__all__ = [
+    "ImageChoice",
+    "Intrinsics",
+    "Mount",
+    "calibration_to_toml",
+    "calibration_values",
+    "read_calibration",
+    "read_intrinsics",
+]

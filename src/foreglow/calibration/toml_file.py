@@ -25,6 +25,7 @@ The centre of the upper left pixel is (0.5, 0.5); `foreglow.geometry` says what 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -92,6 +93,11 @@ def calibration_to_toml(camera: Camera) -> str:
 
     A camera whose angles have no more decimals than that, such as a camera that was read, comes back exactly.
     """
+    return tomli_w.dumps(calibration_values(camera))
+
+
+def calibration_values(camera: Camera) -> dict[str, dict[str, Any]]:
+    """The tables of that text, by which two cameras can be compared."""
     yaw, pitch, roll = (
         round(float(np.degrees(angle)), ANGLE_DECIMALS) + 0.0  # no -0.0
         for angle in rotation_angles_rad(camera.vehicle_from_camera.rotation)
@@ -103,23 +109,21 @@ def calibration_to_toml(camera: Camera) -> str:
         "roll_sigma_deg": round(float(np.degrees(sigmas.roll_rad)), ANGLE_DECIMALS),
         "height_sigma_m": float(sigmas.height_m),
     }
-    return tomli_w.dumps(
-        {
-            "image": {"width_px": int(camera.width_px), "height_px": int(camera.height_px)},
-            "intrinsics": {
-                "focal_px": _floats(camera.focal_px),
-                "centre_px": _floats(camera.centre_px),
-                "distortion": _floats(camera.distortion),
-            },
-            "mount": {
-                "position_m": _floats(camera.vehicle_from_camera.position_m),
-                "yaw_deg": yaw,
-                "pitch_deg": pitch,
-                "roll_deg": roll,
-                **{name: sigma for name, sigma in known.items() if sigma},
-            },
-        }
-    )
+    return {
+        "image": {"width_px": int(camera.width_px), "height_px": int(camera.height_px)},
+        "intrinsics": {
+            "focal_px": _floats(camera.focal_px),
+            "centre_px": _floats(camera.centre_px),
+            "distortion": _floats(camera.distortion),
+        },
+        "mount": {
+            "position_m": _floats(camera.vehicle_from_camera.position_m),
+            "yaw_deg": yaw,
+            "pitch_deg": pitch,
+            "roll_deg": roll,
+            **{name: sigma for name, sigma in known.items() if sigma},
+        },
+    }
 
 
 def _intrinsics(file: _IntrinsicsFile, path: Path) -> Intrinsics:

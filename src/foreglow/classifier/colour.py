@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.types import LIGHT_KINDS, Frame
-from foreglow.types.frame import COLOURLESS
+from foreglow.types.frame import colourless
 
 EVEN_REDNESS = 0.08
 """r0, at which colour says nothing. Chosen, as are the others, on sorted lights of two real clips: decision 23."""
@@ -44,10 +44,11 @@ def redness(frame: Frame, boxes_xyxy_px: NDArray[np.int32]) -> NDArray[np.float6
     found = np.full(len(boxes_xyxy_px), np.nan)
     if frame.red_chroma is None:
         return found
-    white = np.iinfo(frame.image.dtype).max / 255
+    white = np.iinfo(frame.image.dtype).max / np.iinfo(frame.red_chroma.dtype).max
+    even = colourless(frame.red_chroma)
     for index, (left, top, right, bottom) in enumerate(boxes_xyxy_px.tolist()):
         grey = cv2.mean(frame.image[top:bottom, left:right])[0] / white
-        chroma = cv2.mean(frame.red_chroma[top // 2 : -(-bottom // 2), left // 2 : -(-right // 2)])[0] - COLOURLESS
+        chroma = cv2.mean(frame.red_chroma[top // 2 : -(-bottom // 2), left // 2 : -(-right // 2)])[0] - even
         if grey > 0:
             found[index] = chroma / grey
     return found

@@ -7,6 +7,8 @@ import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import (
     beam_sink,
@@ -25,6 +27,7 @@ from foreglow.options import BeamOptions, OutOption, PipelineOptions, SourceOpti
 if TYPE_CHECKING:
     from foreglow.config import PipelineConfig
     from foreglow.datasets import FrameSource
+    from foreglow.geometry import Camera
     from foreglow.photometry import Headlamps
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary, Stepper
     from foreglow.runtime.can_output import CanBus
@@ -79,7 +82,9 @@ def beam(
     else:
         stepper, images = Pipeline(configuration), source
     frames = open_frames(images, reading, vehicle)
-    _check_equipment(frames, images, configuration, has_log=vehicle.can_log is not None)
+    camera = _checked_camera(frames, images, configuration, has_log=vehicle.can_log is not None)
+    if origin is not None and camera is not None:
+        _say_other_calibration(source, origin, camera)
 
     def make_sinks(results: OutputFolder) -> list[ResultSink]:
         sinks: list[ResultSink] = [*viewer_sinks(viewer, configuration, recorded_lux(frames))]
@@ -90,9 +95,7 @@ def beam(
         return sinks
 
     summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit, origin=origin)
-    is_interrupted = not summary.is_complete and (origin is None or summary.num_frames < (reading.limit or 0))
-    notes = [*source_notes(frames), *unused_lines(vehicle, summary)]
-    finish(summary, out, *notes, is_interrupted=is_interrupted)
+    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))
 
 
 def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:
@@ -182,11 +185,13 @@ def _can_sink(results: OutputFolder, kind: str, ramp_s: float, *, is_compact: bo
     return CanLogSink(results.partial(f"beam.{kind}"), suffix=f".{kind}", ramp_s=ramp_s, has_levels=not is_compact)
 
 
-def _check_equipment(frames: FrameSource, source: Path, configuration: PipelineConfig, *, has_log: bool) -> None:
-    """Checks that the first frame has what a high beam needs; the guard checks every frame."""
+def _checked_camera(
+    frames: FrameSource, source: Path, configuration: PipelineConfig, *, has_log: bool
+) -> Camera | None:
+    """The first frame's camera; checks that it has what a high beam needs, which the guard checks of every frame."""
     first = next(iter(frames), None)
     if first is None:
-        return
+        return None
     if first.camera is None:
         raise ValueError(f"{source}: the beam needs the camera's calibration: expected --calibration FILE")
     if first.motion is None and not has_log and configuration.guard.needs_speed:
@@ -194,3 +199,25 @@ def _check_equipment(frames: FrameSource, source: Path, configuration: PipelineC
             f"{source}: the beam needs our speed: expected --can-log FILE, or needs_speed = false under [guard] in "
             "--config FILE"
         )
+    return first.camera
+
+
+def _say_other_calibration(run: Path, origin: RunSummary, camera: Camera) -> None:
+    """Prints a line to stderr if the ranges of the run were not made with the calibration of the beam."""
+    from foreglow.calibration import calibration_values
+
+    if origin.calibration is None:
+        if origin.num_with_camera == 0:
+            typer.echo(f"foreglow: {run}: made without a calibration, so that its tracks have no ranges", err=True)
+        return
+    changes = []
+    for table, values in calibration_values(camera).items():
+        before = origin.calibration.get(table, {})
+        for name in dict.fromkeys([*values, *before]):  # a sigma of 0 is left out
+            was, now = before.get(name, 0.0), values.get(name, 0.0)
+            if was != now:
+                changes.append(f"{table}.{name} was {was}, is {now} now")
+    if changes:
+        more = f" (and {len(changes) - 1} more)" if len(changes) > 1 else ""
+        words = "its ranges were made with another calibration, and stay as they are"
+        typer.echo(f"foreglow: {run}: {words}: {changes[0]}{more}", err=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import itertools
 import logging
 import math
 import os
@@ -18,6 +19,7 @@ import sys
 import tempfile
 import traceback
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -139,12 +141,13 @@ class Commands(TyperGroup):
 
         Raises:
             typer.BadParameter: If a value is empty, such as of a variable that is not set: as a path, it would stand
-                for the working directory.
+                for the working directory. If an option that takes one value is given twice: one would have no effect.
         """
         for before, text in zip(["", *args], args, strict=False):
             if not text or EMPTY_OPTION.fullmatch(text):
                 name = text.removesuffix("=") or (before if before.startswith("-") else "the command line")
                 raise typer.BadParameter(f"{name}: expected a value, got an empty one", ctx)
+        _check_once(ctx, args)
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -178,6 +181,24 @@ class Commands(TyperGroup):
             line, code = ("interrupted", INTERRUPTED) if is_interrupted else one_line(error, inputs)
         _complain(line)
         raise typer.Exit(code)
+
+
+def _check_once(context: Any, args: Sequence[str]) -> None:
+    """Checks that no option of the command in `args` that takes one value is given twice."""
+    while isinstance(context.command, TyperGroup):  # before the name of a command there are flags only
+        name, *args = (*itertools.dropwhile(lambda text: text.startswith("-"), args), "")
+        command: Any = context.command.get_command(context, name)
+        if command is None:
+            return
+        context = type(context)(command, parent=context, info_name=name, **command.context_settings)
+    try:
+        given = context.command.make_parser(context).parse_args(args)[2]
+    except _ClickException:  # said where the command is run
+        return
+    options = (each for each in given if each.param_type_name == "option" and not (each.multiple or each.is_flag))
+    for name, count in Counter(each.opts[0] for each in options).items():
+        if count > 1:
+            raise _UsageError(f"{name}: expected once, got it {count} times", context)
 
 
 def _name_what_is_not_finite(error: Any) -> None:

@@ -75,7 +75,7 @@ def evaluate(
         examination = _examined_file(split, predictions, run_threshold(predictions) if threshold is None else threshold)
     else:
         examination = _examined_model(split, configuration, out, (seed or 0) if robustness else None, workers)
-    typer.echo(COMPARED)
+    typer.echo("\n".join([*examination.notes, COMPARED]))
     rich.print(_table(examination.quality, found_name(split)))
     typer.echo("\n".join(examination_lines(examination)))
     if examination.kinds is not None:
@@ -123,10 +123,9 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     compared, found = compared_labels(predictions, read_predictions(predictions), split, open_labelled(split))
     dataset = compared.dataset
     labels = read_split_labels(dataset, with_shares=True)
-    for line in compared.lines:
-        typer.echo(line)
     examination = examine(labels, found, threshold, str(predictions))
-    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found), notes=compared.lines)
+    notes = (*compared.lines, *examination.notes)
+    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found), notes=notes)
     if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(found.scores)):
         examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):
@@ -155,11 +154,12 @@ def _examined_model(
         summary = run_in_parallel(opening, str(split), folder, configuration, workers, looks)
         for line in bits_notes(looks.brightest, configuration.guard.white_level):
             typer.echo(line)
-        if not summary.is_complete:
+        if summary.is_interrupted:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")
     classifier = configuration.classifier
     examination = examine(labels, found, classifier.score_threshold, str(classifier.model), summary.run_time_ms)
+    examination = dataclasses.replace(examination, notes=(*dataset.notes, *examination.notes))
     if seed is None:
         return examination
     with ProgressSink(dataset.num_frames) as progress:

@@ -74,23 +74,18 @@ def import_(
 ) -> None:
     """Make a data set of labels and their images, which every command takes."""
     from foreglow.datasets import exchange
-    from foreglow.display.summary_lines import counted
     from foreglow.runs.labels_of_run import origins_of
 
     dataset = exchange.LabelFile(source, images)
     origins = origins_of(dataset)
     exchange.write_split(dataset, out, origins)
-    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost)]
+    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost), *dataset.unknown_vehicles]
+    lights = [mark for image in dataset.labels.images for mark in image.marks if mark.kind == exchange.Kind.LIGHT]
+    if lights and not any(mark.is_direct for mark in lights):
+        lines.append("no light is marked as direct: all of it is learnt as light that lamps throw, and none as a lamp")
     num_empty = sum(not image.marks for image in dataset.labels.images)
     if num_empty:
         lines.append(_empty_line(num_empty))
-    marks = (mark for image in dataset.labels.images for mark in image.marks)
-    num_apart = sum(mark.oid is None and mark.kind == exchange.Kind.LIGHT for mark in marks)
-    if num_apart:
-        lines.append(
-            f"without a vehicle's number (oid), each counted as a vehicle of its own, and hidden unless it is a lamp: "
-            f"{counted(num_apart, 'light')}"
-        )
     if any(frame != image_id for origin in origins for frame, image_id in origin.ids or ()):
         lines.append(
             "the images are renumbered, as they have other numbers in a run on their folder; evaluate and export-mot "

@@ -14,14 +14,21 @@ from foreglow.cli.app import app
 from foreglow.cli.shared_run import BY_OPTION, say_bits_of
 from foreglow.command_line import argument, file, folder, option, output_file, shared_folder, with_options
 from foreglow.folder_lock import locked
-from foreglow.options import ConfigOption, DeviceOption, PatienceOption, PipelineOptions, WhiteOption, WorkerOptions
+from foreglow.options import (
+    ConfigOption,
+    DeviceOption,
+    PatienceOption,
+    PipelineOptions,
+    WhiteOption,
+    WorkerOptions,
+    check_boxes,
+)
 from foreglow.outputs import check_outputs
 from foreglow.own_files import ANNOTATION, MODEL, RANGE_MODEL
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from foreglow.config import PipelineConfig
     from foreglow.lab.learning.annotation import Annotation
     from foreglow.lab.learning.fine_tuning import Judged
     from foreglow.lab.learning.model_import import StartingPoint
@@ -249,7 +256,7 @@ def train(
     chosen_preset = preset or next((name for name in (str(from_), recipe) if name in PRESETS), "foreglow")
     configuration = PipelineOptions(preset=chosen_preset, config=config).configuration()
     if from_ is not None and config is None:
-        _check_boxes(from_, configuration)
+        check_boxes("--from", from_, configuration)
     chosen = base if recipe_file is None else recipes.read_recipe(recipe_file, base)
     given: dict[str, Any] = {"epochs": epochs, "patience": patience, "seed": seed, "precision": precision}
     given["max_negatives_per_positive"] = max_negatives
@@ -281,25 +288,6 @@ def train(
         typer.echo("\n".join(_training_lines(summary, out)))
     else:
         _show_fine_tuning(summary, start, judged, out)
-
-
-def _check_boxes(model: Path, configuration: PipelineConfig) -> None:
-    """Passes a configuration with the boxes that the model has learnt, as far as that is known; others need --config.
-
-    Raises:
-        ValueError: If they are others, on which all that it knows would be lost.
-    """
-    from foreglow.config import PRESETS, read_config
-    from foreglow.lab.learning.training_run import CONFIG
-
-    known: PipelineConfig | None
-    if str(model) in PRESETS:
-        known, wanted = PRESETS[str(model)], f"--preset {model}"
-    else:
-        file = model.with_name(CONFIG)  # also beside a model of another name, as a checkpoint that was kept
-        known, wanted = read_config(file) if file.is_file() else None, f"--config {file}"
-    if known is not None and configuration.proposals != known.proposals:
-        raise ValueError(f"train: expected {wanted} with --from {model}, which knows the boxes of these proposals only")
 
 
 MAX_WORSE = 0.01

@@ -13,7 +13,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
-from foreglow.cli.shared_run import recording_sinks, viewer_sinks
+from foreglow.cli.shared_run import recording_sinks, source_notes, viewer_sinks
 from foreglow.command_line import argument, folder, option, output_file, refuse_unused, with_options
 from foreglow.options import (
     RECORD_HELP,
@@ -75,7 +75,12 @@ def live(
     limit: LimitOption = None,
     speed: Annotated[
         float,
-        option("X", "Replay X times as fast; 0 is as fast as possible, without dropping a frame.", min=0.0, max=1000.0),
+        option(
+            "X",
+            "Replay X times as fast, from 0.01 on; 0 is as fast as possible, without dropping a frame.",
+            min=0.0,
+            max=1000.0,
+        ),
     ] = 1.0,
     camera_delay: Annotated[
         float, option("S", "Time from the exposure until the frame arrives.", min=0.0, max=1.0)
@@ -87,7 +92,7 @@ def live(
     quality: QualityOption = "training",
 ) -> None:
     """Run on SOURCE in real time: tracks and beam commands, and low beam whenever something is wrong."""
-    from foreglow.runtime.live import ClosedLoop
+    from foreglow.runtime.live import ClosedLoop, Paced
     from foreglow.runtime.live.cameras import CameraOptions
     from foreglow.runtime.live.opening import open_live, options_of
     from foreglow.wording import without_password
@@ -130,7 +135,7 @@ def live(
             yield from viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
 
         summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)
-    _finish(summary, out, error)
+    _finish(summary, out, error, source_notes(opened.source) if isinstance(opened, Paced) else ())
 
 
 def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:
@@ -158,7 +163,7 @@ def _run(
 ) -> tuple[LiveSummary, LiveEndedError | None]:
     """Runs the loop, which sends to the lamps in `outputs`, and shows its status on the screen.
 
-    Until the loop has the sinks, which are made one by one, an error discards them.
+    Until the loop has begun, an error discards the sinks, which are made one by one.
 
     Returns:
         What came of the run, and why it could not go on, if so.
@@ -169,12 +174,14 @@ def _run(
     from foreglow.runtime.live import LiveEndedError, LiveLoop
     from foreglow.runtime.live.kept_results import KeptResults
     from foreglow.runtime.live.notify import ServiceNotifier
-    from foreglow.runtime.run import PATIENCE_S, InterruptFlag, discarding
+    from foreglow.runtime.run import PATIENCE_S, InterruptFlag, discarding, open_each
+    from foreglow.whole_files import entered
 
-    with contextlib.nullcontext() if out is None else OutputFolder(out) as results:
+    with contextlib.nullcontext() if out is None else entered(lambda: OutputFolder(out)) as results:
         sinks: list[LiveSink] = []
+        error = None
         with discarding(sinks):
-            sinks.extend(made_sinks)
+            open_each(made_sinks, sinks)
             notifier = ServiceNotifier()
             kept = None if results is None else KeptResults(results)
             loop = LiveLoop(
@@ -184,14 +191,14 @@ def _run(
                 outputs=outputs,
                 sinks=[LiveStatus(), *sinks, *([] if kept is None else [kept])],
                 beat=notifier.beat,
+                at_begin=sinks.clear,
                 at_end=notifier.close,
                 give_up_s=give_up_s,
             )
-        error = None
-        try:
-            summary = loop.run(limit)
-        except LiveEndedError as ended:
-            summary, error = ended.summary, ended
+            try:
+                summary = loop.run(limit)
+            except LiveEndedError as ended:
+                summary, error = ended.summary, ended
         with InterruptFlag(PATIENCE_S):
             notifier.stop()
             if results is not None and kept is not None:
@@ -199,17 +206,20 @@ def _run(
     return summary, error
 
 
-def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None) -> None:
-    """Prints what came of the run; exits with 130 if it was interrupted, with 2 if it or a sink failed."""
+def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None, notes: Sequence[str]) -> None:
+    """Prints what came of the run, and what was assumed of its source.
+
+    Exits with 130 if it was interrupted, with 2 if it or a sink failed.
+    """
     from foreglow.display.live_status import live_lines
 
-    lines = live_lines(summary)
-    if error is None and not summary.run.is_complete:
+    lines = [*live_lines(summary), *notes]
+    if error is None and summary.run.is_interrupted:
         lines.append("interrupted")
     typer.echo("\n".join([*lines, *([] if out is None else [f"look in {out}"])]))
     if error is not None:
         raise error
     if summary.sink_errors:
         raise OSError(f"not recorded: {'; '.join(summary.sink_errors)}")
-    if not summary.run.is_complete:
+    if summary.run.is_interrupted:
         raise typer.Exit(130)

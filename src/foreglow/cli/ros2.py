@@ -15,6 +15,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
+from foreglow.cli.shared_run import source_notes
 from foreglow.cli.signals import INTERRUPTED
 from foreglow.command_line import argument, flag, option, refuse_unused, with_options
 from foreglow.options import (
@@ -114,19 +115,21 @@ def source(
 
 
 def _say_left_out(played: FrameSource, num_frames: int) -> None:
-    """Prints what was left out of a source of which so many frames were played.
+    """Prints what was left out, and what was assumed, of a source of which so many frames were played.
 
     Raises:
         ValueError: If that were all of them.
     """
-    from foreglow.datasets import lost_parts
+    from foreglow.datasets import how_read, lost_parts
     from foreglow.display.summary_lines import left_out_lines
     from foreglow.plugins import printable
     from foreglow.runs.origin import origin_name
     from foreglow.runtime.run import check_readable
 
     check_readable(origin_name(played), num_frames, played.skipped)
-    for line in left_out_lines(played.skipped, len(lost_parts(played))):
+    lack = how_read(played)["source_lack"]
+    lines = [*left_out_lines(played.skipped, len(lost_parts(played))), *source_notes(played)]
+    for line in [*lines, *([] if lack is None else [lack])]:
         typer.echo(printable(line))
 
 
@@ -307,7 +310,8 @@ def _run_node(
         make = NODES[name]
     setting = Setting(config, camera, bus, output.deadline, node.patience, ros_arguments)
     with InterruptFlag() as interrupt:
-        make(setting).spin(_stop(lambda: interrupt.is_set, node.parent))
+        limit_s = config.live.max_step_s + config.live.abandon_s
+        make(setting).spin(_stop(lambda: interrupt.is_set, node.parent), limit_s)
     _finish(interrupt)
 
 

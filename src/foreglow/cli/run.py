@@ -123,12 +123,18 @@ def record(
 
     stepper = Pipeline(pipeline.configuration())
     frames = vehicle.equip(reading.open(source), reading.limit)
-    sinks = [progress_sink(frames, reading.limit)]
-    if ros2:
-        from foreglow.runtime.ros2.bag import BagRecorder
+    looks, white_level = look_sink(frames, reading.limit, stepper.config), stepper.config.guard.white_level
 
-        sinks.append(BagRecorder(out, config=stepper.config, source_name=str(source)))
-    else:
-        sinks += recording_sinks(out, source, stepper.config)
-    summary = runtime.run(frames, stepper, None, sinks=sinks, limit=reading.limit, source_name=str(source))
-    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))
+    def make_sinks() -> Iterator[ResultSink]:
+        yield progress_sink(frames, reading.limit)
+        yield looks
+        if ros2:
+            from foreglow.runtime.ros2.bag import BagRecorder
+
+            yield BagRecorder(out, config=stepper.config, source_name=str(source))
+        else:
+            yield from recording_sinks(out, source, stepper.config)
+
+    summary = runtime.run(frames, stepper, None, sinks=make_sinks(), limit=reading.limit, source_name=str(source))
+    notes = [*source_notes(frames), *unused_lines(vehicle, summary), *bits_notes(looks.brightest, white_level)]
+    finish(summary, out, *notes)

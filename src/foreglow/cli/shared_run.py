@@ -24,11 +24,17 @@ if TYPE_CHECKING:
     from foreglow.runtime import Opening, OutputFolder, ResultSink, RunSummary, Stepper
     from foreglow.runtime.health import LiveSink
 
+MOST_FRAMES = 0.9
+"""A log that tells our motion in so many frames of a run is as ever: one begins or ends a little before the other."""
+
 BY_CONFIGURATION = "the configuration says so ([guard] white_level)"
 BY_OPTION = "--white-level says so"
 
 WINDOW_S = 20.0
 """How far back the plots of the viewer's window go."""
+
+WHERE = {"region_xyxy_px", "backend", "dispatch"}
+"""Fields of the proposals that do not change what a box is."""
 
 
 def open_frames(source: Path, reading: SourceOptions, vehicle: VehicleOptions) -> FrameSource:
@@ -48,8 +54,9 @@ def run_frames(
 ) -> RunSummary:
     """Runs the pipeline over `frames`, with a progress bar; `origin` as in `runtime.run`."""
     from foreglow.runtime import OutputFolder, run
+    from foreglow.whole_files import entered
 
-    with OutputFolder(out) as folder:
+    with entered(lambda: OutputFolder(out)) as folder:
         sinks = itertools.chain([progress_sink(frames, limit)], make_sinks(folder))
         return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name, origin=origin)
 
@@ -65,28 +72,19 @@ def run_in_parallel(
     """Runs a pipeline over each sequence on its own, with a progress bar; `looks` sees the frames."""
     from foreglow.display.progress import PartsProgress
     from foreglow.runtime import OutputFolder, run_apart
+    from foreglow.whole_files import entered
 
-    with PartsProgress(opening().num_frames) as progress:
-        folder = OutputFolder(out)
+    with PartsProgress(opening().num_frames) as progress, entered(lambda: OutputFolder(out)) as folder:
         return run_apart(opening, configuration, folder, workers, progress=progress, source_name=name, watcher=looks)
 
 
-def finish(summary: RunSummary, out: Path, *more: str, is_interrupted: bool | None = None) -> None:
-    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted.
-
-    Args:
-        summary: The run's.
-        out: Where its results are.
-        more: The further lines.
-        is_interrupted: Whether it was interrupted itself; None if that is the only reason for being incomplete.
-    """
+def finish(summary: RunSummary, out: Path, *more: str) -> None:
+    """Prints what came of a run, and more lines about it before the last; exits with 130 if it was interrupted."""
     from foreglow.display.summary_lines import run_lines
 
-    if is_interrupted is None:
-        is_interrupted = not summary.is_complete
-    *lines, last = run_lines(summary, out, is_interrupted=is_interrupted)
+    *lines, last = run_lines(summary, out)
     typer.echo("\n".join([*lines, *more, last]))
-    if is_interrupted:
+    if summary.is_interrupted:
         raise typer.Exit(130)
 
 
@@ -101,14 +99,26 @@ def say_lack(run: Path, num_frames: int | None = None) -> bool:
 
 
 def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
-    """A line for each file with data of the car that said nothing of any frame of the run: its clock may be another."""
-    num_known = (summary.num_with_motion or 0) + (summary.num_with_road or 0)
-    counts = {vehicle.can_log: num_known, vehicle.poses: summary.num_with_road}
-    return [
+    """A line for each file with data of the car that said nothing of any frame of the run: its clock may be another.
+
+    And one where a log leaves the speed of many frames unknown.
+    """
+    num_moving = summary.num_with_motion or 0
+    counts = {vehicle.can_log: num_moving + (summary.num_with_road or 0), vehicle.poses: summary.num_with_road}
+    lines = [
         f"{path} says nothing of any frame: expected data of their times (--time-offset)"
         for path, count in counts.items()
         if path is not None and not count
     ]
+    if vehicle.can_log is not None and 0 < num_moving < MOST_FRAMES * summary.num_frames:
+        from foreglow.datasets.vehicle_logs.can_log import MOTION_STALE_S
+
+        lines.append(
+            f"{vehicle.can_log}: our motion is known in {num_moving} of {summary.num_frames} frames, and at most "
+            f"{MOTION_STALE_S:g} s after a message: it begins later, ends earlier (--time-offset), or tells it less "
+            "often"
+        )
+    return lines
 
 
 def source_notes(frames: FrameSource) -> list[str]:
@@ -158,10 +168,13 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     from foreglow.config import PRESETS
 
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
-    model = configuration.classifier.model
-    if model is None or all(model != other.classifier.model for other in PRESETS.values()):
+    model, boxes = configuration.classifier.model, configuration.proposals.model_dump(exclude=WHERE)
+    known = [each.proposals for each in PRESETS.values() if model is not None and each.classifier.model == model]
+    if not known:
         return f"camera: {like}"
-    return f"camera: {like}; the model has seen simulated drives only, so look at the result before you trust it"
+    others = "" if boxes == known[0].model_dump(exclude=WHERE) else ", and other boxes"
+    end = "so look at the result before you trust it"
+    return f"camera: {like}; the model has seen simulated drives only{others}, {end}"
 
 
 def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_CONFIGURATION) -> list[str]:
@@ -172,14 +185,14 @@ def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_C
         white_level: That of the camera, as far as it is given.
         means: How it can be given.
     """
-    from foreglow.beam.camera_watch import MOST_OF_12_BITS
+    from foreglow.beam.camera_watch import MOST_OF_FEW_BITS
 
     if brightest is not None and white_level is not None and brightest > 2 * white_level:
         words = "what is brighter counts as white; PGM and PPM files need no white_level, theirs is in their headers"
         return [f"images of 16 bits, as bright as {brightest}, far beyond the white level of {white_level}: {words}"]
-    if brightest is None or brightest > MOST_OF_12_BITS or white_level is not None:
+    if brightest is None or brightest > MOST_OF_FEW_BITS or white_level is not None:
         return []
-    words = f"where white is 1023 or 4095, light is missed unless {means}"
+    words = f"where white is 1023, 4095 or 16383, light is missed unless {means}"
     return [f"images of 16 bits, none brighter than {brightest}: {words}"]
 
 
@@ -239,12 +252,17 @@ def viewer_sinks(options: ViewOptions, configuration: PipelineConfig, lux_of: Lu
 
     has_lux = lux_of is not None
     num_columns = read_headlamps(configuration.beam.headlamps).num_columns
-    outputs: list[RrdFile | ViewerWindow] = []
-    if options.save is not None:
-        outputs.append(RrdFile(options.save, blueprint(has_lux=has_lux)))
-    if options.view:
-        outputs.append(ViewerWindow(blueprint(has_lux=has_lux, window_s=WINDOW_S), _note))
-    return [RerunSink(outputs, num_columns=num_columns, lux_of=lux_of)]
+    with contextlib.ExitStack() as discarding:
+        outputs: list[RrdFile | ViewerWindow] = []
+        if options.save is not None:
+            outputs.append(RrdFile(options.save, blueprint(has_lux=has_lux)))
+            discarding.callback(outputs[-1].discard)
+        if options.view:
+            outputs.append(ViewerWindow(blueprint(has_lux=has_lux, window_s=WINDOW_S), _note))
+            discarding.callback(outputs[-1].discard)
+        sink = RerunSink(outputs, num_columns=num_columns, lux_of=lux_of)
+        discarding.pop_all()
+    return [sink]
 
 
 def _note(line: str) -> None:

@@ -50,8 +50,14 @@ def simulate(
     print_scene: Annotated[
         str | None, option("NAME", "Only draw a scene of this scenario, and print it as TOML.", "--print")
     ] = None,
-    size: Annotated[str | None, option("WxH", "Size of the images (default: 1280x960; 640x480 for --preview).")] = None,
-    cycle: Annotated[str, option("day|night", "PVDN's short or long exposure of the night.")] = "day",
+    size: Annotated[
+        str | None,
+        option("WxH", "Size of the images (default: that of --scene, else 1280x960; 640x480 for --preview)."),
+    ] = None,
+    cycle: Annotated[
+        str | None,
+        option("day|night", "PVDN's short or long exposure of the night (default: that of --scene, else day)."),
+    ] = None,
     camera: Annotated[
         str | None,
         option("NAME,...", "Camera profiles or their TOML files: each drive is rendered once and exposed for each."),
@@ -73,7 +79,10 @@ def simulate(
         str | None, option("low|high|matrix", "Beam of the car with the camera (default: low).")
     ] = None,
     empty: Annotated[bool, flag("--empty", "Leave out all vehicles that have their lamps on.")] = False,
-    fps: Annotated[float, option("HZ", "Frames per second.", min=0.1, max=1000.0)] = 18.0,
+    fps: Annotated[
+        float | None,
+        option("HZ", "Frames per second (default: those of --scene, else 18).", min=0.1, max=1000.0),
+    ] = None,
     pair_s: Annotated[
         float | None,
         option("S", "Frames come in pairs that are so far apart, half as often.", "--pairs", min=0.001, max=10.0),
@@ -99,19 +108,20 @@ def simulate(
     elif preview is not None:
         if len(scene or ()) > 1:
             raise ValueError(f"--preview: expected one --scene, got {len(scene or ())}")
-        drawn = _own_scenes(scene) or (simulation.scenario(preview, seed),)
+        drawn = _own_scenes(scene) or _usual((simulation.scenario(preview, seed),))
         scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)
     elif out is None:
         raise ValueError("simulate: expected --out DIR, --preview NAME, --print NAME or --print-camera NAME")
     else:
         drawn_with = None if scene else seed  # scenes of one's own have their seeds themselves
-        config = simulation.DatasetConfig.of(seed=drawn_with, split=split, cycle=cycle, quality=quality)
+        used = cycle or _cycle_of(_own_scenes(scene), camera)
+        config = simulation.DatasetConfig.of(seed=drawn_with, split=split, cycle=used, quality=quality)
         exposing = _exposing(config, camera, variants, shares)
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
             own_split = cast("simulation.Split", split)
-            drawn = _own_scenes(scene) or simulation.draw_scenes(number, seed, own_split, mixture)
-            scenes = _adapted(_changed(drawn, ego_beam, empty), size or "1280x960", fps, cycle, pair_s)
+            drawn = _own_scenes(scene) or _usual(simulation.draw_scenes(number, seed, own_split, mixture))
+            scenes = _adapted(_changed(drawn, ego_beam, empty), size, fps, used, pair_s)
             if exposing is not None:
                 exposing.check(scenes)
         if exposing is None:
@@ -157,16 +167,34 @@ def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) ->
     return tuple(without_traffic(scene) for scene in scenes) if is_empty else scenes
 
 
+def _usual(scenes: tuple[Scene, ...]) -> tuple[Scene, ...]:
+    """Drawn scenes, as they are without options."""
+    return _adapted(scenes, "1280x960", 18.0, "day")
+
+
+def _cycle_of(scenes: tuple[Scene, ...], camera: str | None) -> str:
+    """That of scenes of one's own, of which there may be none, where no camera has one and none was asked for."""
+    found = {str(scene.sensor.exposure) for scene in scenes} or {"day"}
+    if len(found) > 1 and camera is None:
+        raise ValueError("--cycle: expected one, as the scenes have both day and night, and a data set has one")
+    return min(found)
+
+
 def _adapted(
-    scenes: tuple[Scene, ...], size: str, fps: float, cycle: str, pair_s: float | None = None
+    scenes: tuple[Scene, ...], size: str | None, fps: float | None, cycle: str | None, pair_s: float | None = None
 ) -> tuple[Scene, ...]:
-    """The scenes with the image size, frame rate and exposure asked for."""
+    """The scenes with the image size, frame rate and exposure asked for, or else their own."""
     from foreglow.lab.simulation import adapted
 
-    if pair_s is not None and pair_s >= 2.0 / fps:
-        raise ValueError(f"--pairs: expected below two frames of --fps, {2.0 / fps:g} s, got {pair_s:g}")
-    size_px = size_from(size)
-    return tuple(adapted(scene, size_px, fps, cycle, pair_s) for scene in scenes)
+    size_px = None if size is None else size_from(size)
+    made = []
+    for scene in scenes:
+        rate_hz, exposure = fps or scene.rate_hz, cycle or scene.sensor.exposure
+        if pair_s is not None and pair_s >= 2.0 / rate_hz:
+            raise ValueError(f"--pairs: expected below two frames of --fps, {2.0 / rate_hz:g} s, got {pair_s:g}")
+        own_size_px = scene.camera.width_px, scene.camera.height_px
+        made.append(adapted(scene, size_px or own_size_px, rate_hz, exposure, pair_s or scene.pair_s))
+    return tuple(made)
 
 
 def _preview(scene: Scene, out: Path, quality: str) -> None:

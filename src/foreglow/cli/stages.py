@@ -35,6 +35,8 @@ def stages(
     require_matplotlib()
     if out.suffix.lower() != ".png":
         raise ValueError(f"{out}: expected a picture that ends in .png, got {out.suffix!r}")
+    if reading.limit is not None:
+        raise ValueError(f"--limit: expected none: the frames until --frame {frame} are read")
     stepper = Pipeline(pipeline.configuration().detector_only)
     latest, num_frames = None, 0
     first_frames = dataclasses.replace(reading, limit=frame + 1)

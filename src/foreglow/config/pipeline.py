@@ -53,6 +53,11 @@ class PipelineConfig(FrozenModel):
         """
         return self.model_copy(update={section: getattr(self, section).model_copy(update=fields)})
 
+    @property
+    def commands(self) -> bool:
+        """Whether a pipeline of it commands a beam: that takes tracks, so a model, and a policy."""
+        return self.classifier.model is not None and "none" not in (self.tracker.method, self.beam.policy)
+
     def commanding(self, **beam: Any) -> PipelineConfig:
         """This configuration with beam commands, by the policy `foreglow` if it has none.
 
@@ -162,5 +167,6 @@ def _written(value: Any) -> Any:
 
 
 def _located(path: Path) -> str:
-    """The absolute path of a file; anything else, such as the name of a model that ships, as it is."""
-    return str(path.absolute() if path.is_file() else path)
+    """The absolute path of a file; anything else as it is, and a preset's model, whose name is no file's anywhere."""
+    is_name = any(path == each.classifier.model for each in PRESETS.values())
+    return str(path.absolute() if path.is_file() and not is_name else path)

@@ -310,7 +310,8 @@ class LiveConfig(FrozenModel):
         slow_frames: The camera is slow when two frames in a row each come later than so many frame periods.
         num_steady: It no longer is after so many punctual frames in a row.
         max_step_s: A stage that takes longer for a frame hangs.
-        abandon_s: After this further time the pipeline that hangs is abandoned, and a new one is made.
+        abandon_s: After this further time the pipeline that hangs is abandoned, and a new one is made; a ROS 2 node in
+            which a stage hangs ends, to be started again.
         max_failures: After errors in so many frames in a row a new pipeline is made.
         rebuild_s: A new pipeline that takes longer to make than this hangs as a stage does: another one is made. If
             none can be made for so long, as that ends with an error each time, the program ends.

@@ -50,6 +50,9 @@ USUAL_STEP_SHARE = 0.75
 """Images are missing from a folder only where so many of its numbers follow the one before by the same step: of images
 that were chosen here and there nobody knows the times."""
 
+EXIF_TOLERANCE = 0.1
+"""A rate that is wrong by no more than this share is not worth a line."""
+
 _EXIF_TIME = re.compile(rb"(\d{4}:\d\d:\d\d \d\d:\d\d:\d\d)\0")
 _EXIF_BYTES = 1 << 17  # Exif data are among the first segments of a JPEG, and have less than 64 KiB
 
@@ -141,6 +144,21 @@ def steps_with_gaps(numbers: Sequence[int]) -> list[int]:
     return steps if steps[-1] < 2 * len(numbers) else places
 
 
+def steps_in(folder: Path) -> dict[str, int]:
+    """By name, in natural order, how many steps after the first one each image of a folder was taken.
+
+    Raises:
+        ValueError: If the folder holds no image, or images that were chosen here and there, by their numbers.
+    """
+    numbers = frame_numbers(folder)
+    steps = steps_with_gaps(list(numbers.values()))
+    first = next(iter(numbers.values()))
+    rises = [number - first for number in numbers.values()]
+    if any(rise * steps[-1] != step * rises[-1] for rise, step in zip(rises, steps, strict=True)):
+        raise ValueError(f"{folder}: expected numbers that rise by one step, but for missing images")
+    return dict(zip(numbers, steps, strict=True))
+
+
 class ImageFolder(FileSource):
     """One image, or the images directly inside a folder in natural order of their names.
 
@@ -192,14 +210,14 @@ class ImageFolder(FileSource):
 
     @property
     def notes(self) -> list[str]:
-        """Lines for people, if need be: what is assumed of the times of several images, which are missing by their
-        numbers, and folders below with images.
+        """Lines for people, if need be: what is assumed of the times of several images, that their Exif data say
+        something else, which are missing by their numbers, and folders below with images.
         """
         rate = (
             f"{self.path}: images have no times: taken for {self.rate_hz:g} frames a second; speeds, leads and delays"
         )
         lines = [f"{rate} follow from it (`ffmpeg -framerate RATE` makes a video of them, which has times)"]
-        lines = lines * (len(self) > 1) + [_missing(self.path, self._numbers, self._steps)]
+        lines = lines * (len(self) > 1) + [self._taken(), _missing(self.path, self._numbers, self._steps)]
         if self.path.is_dir():
             names = [folder.name for folder in sorted(self.path.iterdir()) if folder.is_dir() and _has_images(folder)]
             listed = ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])
@@ -207,6 +225,25 @@ class ImageFolder(FileSource):
                 names
             )
         return [line for line in lines if line]
+
+    def _taken(self) -> str:
+        """How long the images took by the Exif data of the first and the last, if these are of one drive, but not so.
+
+        Those times are whole seconds.
+        """
+        first = last = None
+        with contextlib.suppress(OSError):
+            first, last = _exif_time(self._files[0]), _exif_time(self._files[-1])
+        if first is None or last is None:
+            return ""
+        taken_s, assumed_s = (last - first).total_seconds(), self._steps[-1] / self.rate_hz
+        is_drive = 0 < taken_s <= MAX_STEP.total_seconds() * self._steps[-1]
+        if not is_drive or abs(taken_s - assumed_s) <= max(1.0, EXIF_TOLERANCE * assumed_s):
+            return ""
+        return (
+            f"{self.path}: by their Exif data the images took {taken_s:g} s, {self._steps[-1] / taken_s:.3g} a second, "
+            f"and not {assumed_s:.3g} s"
+        )
 
     @property
     def name(self) -> str:
@@ -263,6 +300,11 @@ def _is_soon_after(time: datetime | None, before: datetime | None) -> bool:
     if time is None or before is None:
         return time is before
     return timedelta(0) <= time - before <= MAX_STEP
+
+
+def is_one_drive(before: Path, path: Path) -> bool:
+    """Whether the image at `path` goes on with the drive of the one at `before`, by the times of photographs."""
+    return _is_soon_after(_exif_time(path), _exif_time(before))
 
 
 def _exif_time(path: Path) -> datetime | None:

@@ -26,7 +26,7 @@ from foreglow.datasets.image_bytes import (
 from foreglow.files import check_file, checked_path, read_bytes
 from foreglow.types import Image
 from foreglow.types.arrays import check_unmasked
-from foreglow.types.frame import COLOURLESS
+from foreglow.types.frame import colourless
 from foreglow.wording import check_one_of
 
 Order: TypeAlias = Literal["rgb", "bgr"]
@@ -71,8 +71,11 @@ IMAGE_SUFFIXES = frozenset(
 BRANDS_OF_PHONES = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis"})
 """How a HEIC or AVIF begins, whatever its file is called: phones take such images, and nothing here decodes them."""
 
-Chroma: TypeAlias = NDArray[np.uint8]
+Chroma: TypeAlias = Image
 """How red what is in an image is, at half its size; see `red_chroma`."""
+
+ROUNDING = 2
+"""Chroma of grey images is off by so much at most: FFmpeg rounds both halves of it down to make video of R, G and B."""
 
 RED_CHROMA_OF_RGB = (0.41565, -0.58435, 0.1687)
 """Weights of R, G and B: Cr + Cb / 2 of ITU-R BT.601. White light of 2,500 to 10,000 K, from halogen to LED, changes it
@@ -200,7 +203,7 @@ def red_chroma(array: NDArray[Any], *, order: Order = "rgb") -> Chroma | None:
     """How red what is in a colour image is, shape (ceil(height / 2), ceil(width / 2)), 128 for white; None for grey.
 
     Rear lamps are red and headlamps are not, be they yellowish or bluish. An image in colours that are all grey is
-    grey.
+    grey. Images of 16 bits and floats give 16 bits, and 32768 for white.
 
     Args:
         array: An image that `to_grey` takes.
@@ -219,18 +222,19 @@ def red_chroma(array: NDArray[Any], *, order: Order = "rgb") -> Chroma | None:
     if array.ndim != 3 or array.shape[2] < 3:
         return None
     weights = RED_CHROMA_OF_RGB if order == "rgb" else RED_CHROMA_OF_RGB[::-1]
-    white = 1.0 if array.dtype.kind == "f" else float(np.iinfo(array.dtype).max)
+    dtype = array.dtype if array.dtype.kind == "u" else np.dtype(np.uint16)
+    top = int(np.iinfo(dtype).max)
     size = (-(-array.shape[1] // 2), -(-array.shape[0] // 2))
     colours = np.ascontiguousarray(array[:, :, :3])
     half = cv2.resize(colours, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    red = cv2.transform(half, 255.0 / white * np.array([weights]))
-    return if_coloured(np.rint(np.clip(red + COLOURLESS, 0, 255)).astype(np.uint8))
+    red = cv2.transform(half, (1.0 if dtype == array.dtype else top) * np.array([weights]))
+    return if_coloured(np.rint(np.clip(red + colourless(np.empty(0, dtype)), 0, top)).astype(dtype))
 
 
 def if_coloured(chroma: Chroma) -> Chroma | None:
     """`chroma`; None if there is no colour in it, but for rounding."""
     low, high, _, _ = cv2.minMaxLoc(chroma)
-    return chroma if low < COLOURLESS - 1 or high > COLOURLESS + 1 else None
+    return chroma if low < colourless(chroma) - ROUNDING or high > colourless(chroma) + ROUNDING else None
 
 
 def _without_colour(array: NDArray[Any], order: Order) -> NDArray[Any]:

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from foreglow.datasets.pvdn.schema import BoxLabels, ImageCategory, ImageRecord, Instance, Sequence, Vehicle
 
 
+PAUSE_S, PAUSE_STEPS = 1.0, 10
+"""Longer steps between two images are a pause; of a tracker's memory, nothing outlasts a second."""
+
+
 class LabelledSource(FileSource, ABC):
     """A `FrameSource` with labels, in the types of `foreglow.datasets.pvdn.schema`: other formats convert theirs.
 
@@ -106,6 +110,11 @@ class LabelledSource(FileSource, ABC):
         return None
 
     @property
+    def notes(self) -> list[str]:
+        """What is to be said of the labels, one line each, such as what a tool's file has and is not taken."""
+        return []
+
+    @property
     def num_frames(self) -> int:
         """Number of selected images."""
         return len(self.frame_ids)
@@ -120,13 +129,18 @@ class LabelledSource(FileSource, ABC):
 
     @property
     def mean_rate_hz(self) -> float:
-        """Frames a second by the times of the selected images, at most `rate_hz`: lower where only some are there."""
+        """Frames a second by the times of the selected images, at most `rate_hz`: lower where only some are there.
+
+        Pauses do not count, in which nobody looked: steps of more than `PAUSE_S`, and of `PAUSE_STEPS` usual ones.
+        """
         times_s: dict[int, list[float]] = {}
         for image_id in self.frame_ids:
             times_s.setdefault(self.sequence(image_id).id, []).append(self.time_s(image_id))
-        num_steps = sum(len(each) - 1 for each in times_s.values())
-        total_s = sum(max(each) - min(each) for each in times_s.values())
-        found = num_steps / total_s if total_s else self.rate_hz
+        steps_s = np.concatenate([np.zeros(0), *(np.diff(np.sort(each)) for each in times_s.values())])
+        if not steps_s.any():
+            return self.rate_hz
+        looked_s = steps_s[steps_s <= max(PAUSE_S, PAUSE_STEPS * float(np.median(steps_s)))]
+        found = len(looked_s) / float(looked_s.sum())
         return found if found < 0.999 * self.rate_hz else self.rate_hz  # times may be whole milliseconds
 
     def only(self, directory: str) -> Self:

@@ -93,6 +93,8 @@ class FileSource:
             frames.
         on_error: What a bad frame does.
         topic: The topic of a recording that is read; None of other sources.
+        lack: A line about what was to be in it and is not, as it says itself: a recording that was interrupted, or that
+            was never finished. Empty of all others.
         unread_end: Those lines of `skipped` that are about the latest images of the latest iteration, where none could
             be read since: at its end the source ended before its last image, as where its folder was removed.
     """
@@ -103,6 +105,7 @@ class FileSource:
     unread_end: list[str]
     on_error: OnError
     topic: str | None
+    lack: str
 
     def __init__(self, origin: Path | str, on_error: OnError) -> None:
         """Takes where the frames are, and what a bad one does.
@@ -113,7 +116,7 @@ class FileSource:
         check_one_of(on_error, OnError, "on_error")
         self.origin = Path(origin)
         self.skipped, self.lost_parts, self.unread_end = [], [], []
-        self.on_error, self.topic = on_error, None
+        self.on_error, self.topic, self.lack = on_error, None, ""
 
     def _refuse(self, message: str) -> None:
         """Notes what is left out; with `stop`, raises it."""

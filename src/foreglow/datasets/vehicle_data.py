@@ -176,12 +176,14 @@ def unread_end(source: FrameSource) -> Sequence[str]:
 
 
 def how_read(source: FrameSource) -> dict[str, str | None]:
-    """`topic` and `on_error` of what `source` reads, by which it is read the same way again; None of other sources."""
+    """What a `RunSummary` says of how `source` is read: `topic` and `on_error`, by which it is read the same way again,
+    and `source_lack`; None of other sources.
+    """
     if isinstance(source, Equipped):
         return how_read(source.source)
     if isinstance(source, FileSource):
-        return {"topic": source.topic, "on_error": source.on_error}
-    return {"topic": None, "on_error": None}
+        return {"topic": source.topic, "on_error": source.on_error, "source_lack": source.lack or None}
+    return dict.fromkeys(("topic", "on_error", "source_lack"))
 
 
 def part_names(source: FrameSource) -> tuple[str, ...]:

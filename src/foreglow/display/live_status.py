@@ -80,6 +80,8 @@ def live_lines(summary: LiveSummary) -> list[str]:
     lines += [_event_line(event) for event in summary.faults]
     if run.num_skipped:
         lines.append(f"{run.num_skipped} left out as unreadable, the first: {run.skipped[0]}")
+    if run.source_lack is not None:
+        lines.append(run.source_lack)
     if summary.num_unrecorded:
         why = "" if summary.sink_errors else ": the recording could not keep up"
         lines.append(f"{summary.num_unrecorded} results were not recorded{why}")

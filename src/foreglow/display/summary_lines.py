@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from foreglow.runs.summary_file import BeamSummary, RunSummary
 
 
-def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[str]:
-    """What came of a run, perhaps interrupted, whose results are in the folder or the recording `out`.
+def run_lines(summary: RunSummary, out: Path) -> list[str]:
+    """What came of a run whose results are in the folder or the recording `out`.
 
     The last line says where to look.
     """
@@ -29,7 +29,7 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
     if not summary.is_classified:
         lines.append("the proposals are not classified: no model was given (--model FILE)")
     if summary.num_ranged == 0 and summary.num_with_camera:
-        if summary.num_scored:
+        if summary.num_scored and summary.calibration is not None:  # else a run without one is taken
             lines.append(
                 "nothing has a range: the estimator found none; psd_3d, psd_3d_plus and psd_2d need the road ahead "
                 "(--can-log, or --map with --poses)"
@@ -42,7 +42,9 @@ def run_lines(summary: RunSummary, out: Path, *, is_interrupted: bool) -> list[s
     if summary.beam is not None:
         lines += beam_lines(summary.beam, summary.num_frames)
     lines += left_out_lines(summary.skipped, summary.num_lost_parts, "listed in summary.json" if out.is_dir() else "")
-    if is_interrupted:
+    if summary.source_lack is not None:
+        lines.append(summary.source_lack)
+    if summary.is_interrupted:
         lines.append("interrupted: the results are complete up to there")
     if out.is_dir():
         names = [path.name for path in sorted(out.iterdir()) if path.is_file()]

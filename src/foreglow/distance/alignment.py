@@ -18,8 +18,9 @@ independent measurements; the floor allows for a driver who avoids something:
     P(d) <- P(d) L(d)^min(D / 5 m, 1),   L = exp(-((kappa(d) - w / v) / sigma(d))^2 / 2) + 0.02                 (3)
     sigma(d)^2 = sigma_driver^2 + (sigma_w / v)^2 + (5 m d kappa / ds)^2                                        (4)
 
-Yaw and offset fade to those of a driver who keeps the lane, mean 0 and variance V0, over the time dt, and are
-corrected by what the lane markings measure, m with the variance R:
+Yaw and offset fade to the map's, mean 0 and variance V0, over the time dt, and are corrected by what the lane markings
+measure against them, m with the variance R. Where the map only says where on the road the vehicle is, they are those of
+a driver who keeps the lane:
 
     mean <- c mean,   V <- V + (1 - c^2) (V0 - V),   c = exp(-dt / 2 s)                                         (5)
     mean <- mean + G (m - mean),   V <- (1 - G) V,   G = V / (V + R)                                            (6)
@@ -35,7 +36,7 @@ import math
 import numpy as np
 
 from foreglow.distance.markings import MarkingFinder
-from foreglow.distance.ribbon import CURVATURE_REACH_M, Alignment, mapped_curvatures
+from foreglow.distance.ribbon import CURVATURE_REACH_M, Alignment, mapped_curvatures, mapped_standing
 from foreglow.geometry import Floats
 from foreglow.types import Frame
 
@@ -113,9 +114,11 @@ class RoadAligner:
             gap_s = math.nan
         self._timestamp_ns = frame.timestamp_ns
         shift_m, shift_sigma_m = self._shift(frame, gap_s)
-        lane = self._markings.find(frame)
-        self._yaw.update(gap_s, lane.yaw_rad, lane.yaw_sigma_rad)
-        self._left.update(gap_s, lane.left_m, lane.left_sigma_m)
+        lane, (yaw_rad, left_m) = self._markings.find(frame), (0.0, 0.0)
+        if frame.road is not None:
+            yaw_rad, left_m = mapped_standing(frame.road)
+        self._yaw.update(gap_s, lane.yaw_rad - yaw_rad, lane.yaw_sigma_rad)
+        self._left.update(gap_s, lane.left_m - left_m, lane.left_sigma_m)
         return Alignment(self._yaw.mean, self._left.mean, shift_m, self._yaw.sigma, self._left.sigma, shift_sigma_m)
 
     def _shift(self, frame: Frame, gap_s: float) -> tuple[float, float]:

@@ -73,6 +73,9 @@ PRIOR_SIGMAS_RAD = np.radians([2.0, 0.5])
 LANE_SIGMA_M = 0.3
 """Standard deviation of the assumed lane width, which counts where a single marking is seen."""
 
+MAX_LANE_ERROR_M = 0.9
+"""Two markings whose distance differs more from the assumed one are not those of one lane of two."""
+
 SLOPE_SIGMA_RAD = math.radians(0.1)
 """Standard deviation of the road's slope within the strips against that under the vehicle."""
 
@@ -240,8 +243,13 @@ def _fit(positions_m: Floats, is_used: NDArray[np.bool_], lines_m: Floats, heigh
 
 
 def _offset(beside_m: Floats, is_line: NDArray[np.bool_], lines_m: Floats) -> tuple[float, float]:
-    """Offset to the left of the lane's middle: from both markings, or from one of them and the lane's width."""
+    """Offset to the left of the lane's middle: from both markings, or from one of them and the lane's width.
+
+    Unknown where they are apart as the markings of another lane are, as on roads of more lanes.
+    """
     if is_line[0] and is_line[1]:
+        if abs((beside_m[0] - beside_m[1]) - (lines_m[0] - lines_m[1])) > MAX_LANE_ERROR_M:
+            return 0.0, math.inf
         return float(-(beside_m[0] + beside_m[1]) / 2), MARKING_SIGMA_M
     seen = int(is_line.argmax())
     return float(lines_m[seen] - beside_m[seen]), LANE_SIGMA_M * abs(float(lines_m[seen] / (lines_m[0] - lines_m[1])))

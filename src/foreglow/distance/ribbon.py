@@ -68,11 +68,11 @@ the map believes."""
 
 
 class Alignment(NamedTuple):
-    """The vehicle's pose on the road, relative to the map's: at s = 0, in the middle of the lane, heading along it.
+    """The vehicle's pose on the road, relative to the map's: at s = 0, as `mapped_standing` says.
 
     Attributes:
-        yaw_rad: Heading to the left of the road's direction.
-        left_m: Offset to the left of the lane's middle.
+        yaw_rad: Heading to the left of the mapped one.
+        left_m: Offset to the left of the mapped place.
         shift_m: How far the vehicle is along the road beyond the map's position.
         yaw_sigma_rad: Standard deviation of the yaw.
         left_sigma_m: Standard deviation of the offset.
@@ -189,6 +189,17 @@ def mapped_course(road: RoadAhead, arc_lengths_m: Floats) -> tuple[Floats, Float
     samples = _Line(road).at(np.concatenate([[0.0], arc_lengths_m]))
     from_start = samples[1:, :2] - samples[0, :2]
     return samples[0, 3] * from_start[:, 1] - samples[0, 4] * from_start[:, 0], samples[1:, 2]
+
+
+def mapped_standing(road: RoadAhead) -> tuple[float, float]:
+    """How the vehicle stands by the map: its heading to the left of the road's, and its offset to the left of its lane.
+
+    Of the two lanes, its own is the one whose middle is nearer. Both are 0 where the map only says where on the road it
+    is, and those of its pose where it has one.
+    """
+    x, y, _, cos, sin, *_ = _Line(road).at(np.zeros(1))[0].tolist()
+    left_m = x * sin - y * cos  # of the centre line
+    return -math.atan2(sin, cos), left_m - math.copysign(0.5 * road.half_width_m, left_m)
 
 
 class _Line:

@@ -1,8 +1,9 @@
 """Roads in a Lanelet2 file (.osm): carriageways between the borders of lanelets.
 
-Two lanelets on either side of the same left border are the two directions of a carriageway; any other lanelet is a
-carriageway of its own. The reader takes the nodes' lat, lon and `ele`, and relations of type lanelet whose subtype is a
-road for cars; it ignores projections and regulatory elements.
+Two lanelets on either side of the same left border are the two directions of a carriageway, in left-hand traffic those
+on either side of the same right border; any other lanelet is a carriageway of its own. The reader takes the nodes' lat,
+lon and `ele`, and relations of type lanelet whose subtype is a road for cars; it ignores projections and regulatory
+elements.
 
 Source: Poggenhans et al., Lanelet2: A high-definition map framework, ITSC 2018.
 """
@@ -127,18 +128,18 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
 
 
 def _carriageways(lanelets: list[tuple[str, str]], borders: dict[str, Floats]) -> list[tuple[str, str]]:
-    """The outer borders of each carriageway: both right borders of two lanelets with their left border in common."""
-    rights_of: dict[str, list[str]] = {}
-    for left, right in lanelets:
-        rights_of.setdefault(left, []).append(right)
-    found = []
-    for left, rights in rights_of.items():
-        sides = {_side(borders[left], borders[right]): right for right in rights}
-        if len(rights) == 2 and len(sides) == 2:
-            found.append((sides[1.0], sides[-1.0]))
-        else:
-            found += [(left, right) for right in rights]
-    return found
+    """The outer borders of each carriageway: the others of two lanelets with their left or right border in common."""
+    found, alone = [], dict(enumerate(lanelets))
+    for side in range(len(SIDES)):
+        at_border: dict[str, list[int]] = {}
+        for number, lanelet in alone.items():
+            at_border.setdefault(lanelet[side], []).append(number)
+        for border, numbers in at_border.items():
+            others = [alone[number][1 - side] for number in numbers]
+            if len(numbers) == 2 and len({_side(borders[border], borders[other]) for other in others}) == 2:
+                found.append((others[0], others[1]))
+                del alone[numbers[0]], alone[numbers[1]]
+    return found + list(alone.values())
 
 
 def _side(line: Floats, other: Floats) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -210,6 +210,17 @@ def measured_lamp(base: IntensityTable, leds: Sequence[IntensityTable], num_colu
     left = np.array([np.average(azimuths, weights=table.sum(0)) for table in tables])
     up = np.array([np.average(elevations, weights=table.sum(1)) for table in tables])
     return MatrixLamp(base, columns, rows, _frozen(tables), left, up, num_columns)
+
+
+def with_mirrored_base(lamp: MatrixLamp) -> MatrixLamp:
+    """`lamp` with its low beam mirrored, left for right; its LEDs stay where they are."""
+    old, mirrored = lamp.base.azimuths_deg, lamp.base.mirrored
+    if np.array_equal(mirrored.azimuths_deg, old):
+        return replace(lamp, base=mirrored)
+    azimuths, elevations = _finer(old, (-old[-1], -old[0]), _step(old)), lamp.base.elevations_deg
+    base = IntensityTable(azimuths, elevations, _sampled(mirrored, azimuths, elevations))
+    num_before = round((old[0] - azimuths[0]) / _step(old))
+    return replace(lamp, base=base, columns=slice(lamp.columns.start + num_before, lamp.columns.stop + num_before))
 
 
 def _check_num_leds(num_leds: int, field: str) -> None:

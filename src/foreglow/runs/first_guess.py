@@ -16,20 +16,25 @@ from foreglow.types import FrameResult
 def read_guess(folder: Path) -> Mapping[int, Guess]:
     """By frame of the run in `folder`, a vehicle with one light for every accepted box, at its middle.
 
-    Vehicle and light have the number of the track that follows the box; a box without one has a negative number that no
-    other has.
+    Vehicle and light have the number of the track that follows the box. Each sequence counts its tracks anew, and parts
+    of a video may become one drive, so that a later one's count on from the greatest number before. A box without a
+    track has a negative number that no other has.
 
     Raises:
         FileNotFoundError: If a file of the run is missing.
         ValueError: If one is broken, or the run had no model.
     """
     alone = count(-1, -1)
+    first_free = 0
     guesses: dict[int, Guess] = {}
     for sequence, results in read_run(folder).sequences.items():
+        offset = first_free
         for result in results:
             if result.detections is None:
                 raise ValueError(f"{folder / 'frames.jsonl'}: scores: expected those of a model, the run had none")
-            tracks, kinds = _tracks_of_boxes(result), result.detections.kind_names
+            tracks = {box: track + offset for box, track in _tracks_of_boxes(result).items()}
+            first_free = max([first_free, *(track + 1 for track in tracks.values())])
+            kinds = result.detections.kind_names
             found = []
             for index in np.flatnonzero(result.detections.is_accepted).tolist():
                 x1, y1, x2, y2 = result.detections.boxes_xyxy_px[index].tolist()

@@ -43,7 +43,7 @@ class LabelsOfRun:
     @property
     def lines(self) -> tuple[str, ...]:
         """What is to be said of them."""
-        return tuple(line for line in (self.doubt, self.part) if line is not None)
+        return (*(line for line in (self.doubt, self.part) if line is not None), *self.dataset.notes)
 
     def by_image(self, by_frame: Mapping[int, Value]) -> Mapping[int, Value]:
         """What the run has for each frame, by image; for frames without labels by numbers below 0."""

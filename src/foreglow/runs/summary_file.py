@@ -59,8 +59,10 @@ class RunSummary(_Strict):
         topic: The topic of a recording that was read; None of other sources, and like the next in folders of earlier
             versions.
         on_error: What bad frames did: `stop`, `skip` or `mark`; None of sources without files.
-        is_complete: False if the run, or the one whose results it takes, was interrupted; the results until then are
-            kept.
+        source_lack: What the source lacks, as it says itself: a recording that was interrupted or never finished.
+        is_complete: False if the run, the one whose results it takes, or the recording that it read was interrupted;
+            the results until then are kept.
+        is_interrupted: Whether that was the run itself; false in folders of earlier versions.
         is_classified: Whether a model scored the proposals.
         num_frames: Frames that were run.
         num_proposals: Boxes proposed, over all frames.
@@ -71,6 +73,9 @@ class RunSummary(_Strict):
         num_with_camera: Frames with a calibration; None in folders of earlier versions, like the next two.
         num_with_motion: Frames with the motion of the car.
         num_with_road: Frames with the road ahead.
+        calibration: Of the first frame that had one, as its file has it: the ranges were made with it. None if none
+            had, and in folders of earlier versions.
+        beam_calibration: That of the beam, if the ranges of the run that it takes were made with another one or none.
         beam: The beam commands; None if no beam was configured.
         num_skipped: Files that could not be read and were skipped.
         skipped: One line for each of them: its path and the reason.
@@ -92,7 +97,9 @@ class RunSummary(_Strict):
     source_digest: str | None = None
     topic: str | None = None
     on_error: str | None = None
+    source_lack: str | None = None
     is_complete: bool
+    is_interrupted: bool = False
     is_classified: bool
     num_frames: Count
     num_proposals: Count
@@ -103,6 +110,8 @@ class RunSummary(_Strict):
     num_with_camera: Count | None = None
     num_with_motion: Count | None = None
     num_with_road: Count | None = None
+    calibration: Mapping[str, Mapping[str, Any]] | None = None
+    beam_calibration: Mapping[str, Mapping[str, Any]] | None = None
     beam: BeamSummary | None
     num_skipped: Count
     skipped: Sequence[str]
@@ -215,6 +224,8 @@ def lack_of_run(folder: Path, num_frames: int | None = None) -> str | None:
             else None
         )
     summary = read_summary(path)
+    if summary.source_lack is not None and not summary.is_interrupted:
+        return f"{folder}: made from {summary.source_lack}"
     if not summary.is_complete:
         return (
             f"{folder}: the run was interrupted after {summary.num_frames} frames, what is made from it is incomplete"

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from foreglow.calibration import calibration_values
 from foreglow.config import PipelineConfig
+from foreglow.geometry import Camera
 from foreglow.outputs import running_command
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runs.origin import full_name, origin_digest
@@ -67,6 +69,7 @@ class Tally:
         self._num_accepted = 0
         self._num_ranged = 0
         self._num_with_camera = 0
+        self._camera: Camera | None = None
         self._num_with_motion = 0
         self._num_with_road = 0
         self._num_tracks: int | None = None
@@ -83,6 +86,7 @@ class Tally:
         """Counts one frame."""
         self.num_frames += 1
         self._num_with_camera += frame.camera is not None
+        self._camera = self._camera or frame.camera
         self._num_with_motion += frame.motion is not None
         self._num_with_road += frame.road is not None
         self._num_proposals += len(result.proposals)
@@ -108,6 +112,7 @@ class Tally:
         counts = ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_gaps", "_sum_gaps_rad")
         for name in (*counts, "_num_with_camera", "_num_with_motion", "_num_with_road"):
             setattr(self, name, getattr(self, name) + getattr(later, name))
+        self._camera = self._camera or later._camera
         if later._num_tracks is not None:
             self._num_tracks = (self._num_tracks or 0) + later._num_tracks
         self._modes.update(later._modes)
@@ -124,11 +129,13 @@ class Tally:
         config: PipelineConfig,
         *,
         is_complete: bool,
+        is_interrupted: bool = False,
         dispatch: str | None,
         processor: str | None = None,
         num_lost_parts: int = 0,
         topic: str | None = None,
         on_error: str | None = None,
+        source_lack: str | None = None,
     ) -> RunSummary:
         """The summary of all frames so far, with the version of Foreglow and the machine.
 
@@ -136,12 +143,14 @@ class Tally:
             source: Where the frames came from; a path becomes absolute, since it is read from anywhere.
             skipped: One line for each file that was skipped.
             config: Configuration of the pipeline.
-            is_complete: Whether all frames were run.
+            is_complete: Whether all frames were run that the source has.
+            is_interrupted: Whether the run was interrupted.
             dispatch: As `Pipeline.dispatch`.
             processor: Name of the processor that it ran on; None for that of this machine.
-            num_lost_parts: As in `RunSummary`, as are the next two.
+            num_lost_parts: As in `RunSummary`, as are the next three.
             topic: The topic of a recording that was read.
             on_error: What bad frames did.
+            source_lack: What the source lacks: then the run is not complete either.
         """
         is_classified = config.classifier.model is not None
         is_ranging = is_classified and config.distance.estimator != "none"
@@ -153,7 +162,9 @@ class Tally:
             source_digest=origin_digest(Path(name)),
             topic=topic,
             on_error=on_error,
-            is_complete=is_complete,
+            source_lack=source_lack,
+            is_complete=is_complete and source_lack is None,
+            is_interrupted=is_interrupted,
             is_classified=is_classified,
             num_frames=self.num_frames,
             num_proposals=self._num_proposals,
@@ -164,6 +175,7 @@ class Tally:
             num_with_camera=self._num_with_camera,
             num_with_motion=self._num_with_motion,
             num_with_road=self._num_with_road,
+            calibration=None if self._camera is None else calibration_values(self._camera),
             beam=self._beam_summary() if self._modes else None,
             num_skipped=len(skipped),
             skipped=tuple(skipped),

@@ -64,11 +64,15 @@ class CanLogSink:
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
         self._written = AtomicFile(path)
         file: Any = self._written.file
-        if kind == ".blf":
-            self._log: Any = can.BLFWriter(file)
-        else:
-            text = io.TextIOWrapper(file, encoding="latin-1", newline="\n")
-            self._log = can.ASCWriter(text) if kind == ".asc" else can.CanutilsLogWriter(text)
+        try:
+            if kind == ".blf":
+                self._log: Any = can.BLFWriter(file)
+            else:
+                text = io.TextIOWrapper(file, encoding="latin-1", newline="\n")
+                self._log = can.ASCWriter(text) if kind == ".asc" else can.CanutilsLogWriter(text)
+        except BaseException:
+            self._written.discard()
+            raise
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Adds the frames of the result's command, if it has one.

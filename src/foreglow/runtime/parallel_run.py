@@ -143,6 +143,7 @@ def run_apart(
                 skipped,
                 config,
                 is_complete=not is_cut,
+                is_interrupted=is_cut,
                 dispatch=_each_once([part.dispatch for part in runs]),
                 processor=_each_once([part.processor for part in runs]),
                 num_lost_parts=sum(part.num_lost_parts for part in runs),

@@ -12,10 +12,11 @@ import re
 import signal
 import threading
 import time
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
@@ -27,7 +28,7 @@ from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
-from foreglow.whole_files import ENDINGS
+from foreglow.whole_files import ENDINGS, undisturbed
 
 PATIENCE_S = 2.0
 """Further signals within this time mean the same wish: they don't disturb the tidying up after the first."""
@@ -47,6 +48,24 @@ class ResultSink(Protocol):
     def discard(self) -> None:
         """Releases everything without completing it; called when the run failed, perhaps after `close`."""
         ...
+
+
+Sink = TypeVar("Sink", bound=ResultSink)
+
+
+class KeepingSink:
+    """A result sink that keeps the frames for later, such as a recording.
+
+    Attributes:
+        is_complete: Whether all frames of the source came, which it may say of itself; set before it is closed.
+    """
+
+    is_complete = True
+
+    @property
+    @abstractmethod
+    def num_kept(self) -> int:
+        """Of how many frames the results are on the disk, and stay there."""
 
 
 class Stepper(Protocol):
@@ -139,7 +158,7 @@ def run(
     with folder or contextlib.nullcontext(), discarding(all_sinks):
         if folder is not None:
             all_sinks += folder.line_sinks()
-        all_sinks.extend(sinks)
+        open_each(sinks, all_sinks)
         with InterruptFlag() as interrupt:
             step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
             check_readable(name, tally.num_frames, source.skipped)
@@ -148,19 +167,25 @@ def run(
                 raise ValueError(
                     f"{name}: expected the {limit} frames of the run, there are {tally.num_frames} now{reason}"
                 )
-            for sink in all_sinks:
-                sink.close()
-            is_cut = interrupt.is_set
+            is_cut, read = interrupt.is_set, how_read(source)
             is_complete = not is_cut and (origin is None or origin.is_complete)
+            for sink in all_sinks:
+                if isinstance(sink, KeepingSink):
+                    sink.is_complete = is_complete and read["source_lack"] is None
+                sink.close()
             summary = tally.summary(
                 name,
                 source.skipped,
                 pipeline.config,
                 is_complete=is_complete,
+                is_interrupted=is_cut,
                 dispatch=pipeline.dispatch,
                 num_lost_parts=len(lost_parts(source)),
-                **how_read(source),
+                **read,
             )
+            if origin is not None and origin.calibration != summary.calibration:
+                own = summary.calibration
+                summary = dataclasses.replace(summary, calibration=origin.calibration, beam_calibration=own)
             if folder is not None:
                 summary = folder.publish(pipeline.config, summary)
     if interrupt.is_set and not is_cut:  # too late to leave out a frame
@@ -174,9 +199,20 @@ def discarding(sinks: Iterable[ResultSink]) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        for sink in sinks:
-            sink.discard()
+        with undisturbed():
+            for sink in sinks:
+                sink.discard()
         raise
+
+
+def open_each(sinks: Iterable[Sink], opened: list[Sink]) -> None:
+    """Adds the sinks, which may be made one by one, to those that are open; a signal waits while one is being made."""
+    making = iter(sinks)
+    num_before = -1
+    while len(opened) != num_before:
+        num_before = len(opened)
+        with undisturbed():
+            opened.extend(itertools.islice(making, 1))
 
 
 def step_through(

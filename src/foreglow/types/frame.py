@@ -23,10 +23,19 @@ MAX_HALF_WIDTH_M, MAX_ROAD_NUMBER = 200.0, 1e9
 """No carriageway of a map is so wide; and no coordinate or slope is so large, of which others can be computed."""
 
 COLOURLESS = 128
-"""`Frame.red_chroma` of white."""
+"""`Frame.red_chroma` of white, in 8 bits; `colourless` has that of 16 bits."""
 
 MIN_STEP_S = 1e-3
 """No camera takes images in shorter intervals."""
+
+
+def colourless(chroma: Image) -> int:
+    """The value of white in `chroma`: half of those that its type has.
+
+    >>> colourless(np.zeros((1, 1), np.uint8)), colourless(np.zeros((1, 1), np.uint16))
+    (128, 32768)
+    """
+    return COLOURLESS << 8 * (chroma.itemsize - 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,9 +149,9 @@ class Frame(Value):
         is_reported: Whether the car's production system, if it has one, reports a vehicle; None where unknown.
         earlier: The image from shortly before that the source keeps beside this one, as data sets of single images do;
             None without one.
-        red_chroma: Of a camera with colour, shape (ceil(height / 2), ceil(width / 2)), uint8: how much redder than
-            white light of any colour temperature it is, see `datasets.images.red_chroma`; `COLOURLESS` for
-            white, more for red. None without colour.
+        red_chroma: Of a camera with colour, shape (ceil(height / 2), ceil(width / 2)), uint8 or uint16: how much
+            redder than white light of any colour temperature it is, as a share of white, which is the greatest value of
+            either type; see `datasets.images.red_chroma`. `colourless` for white, more for red. None without colour.
 
     Raises:
         ValueError: If the image is not two-dimensional, is empty, has masked pixels, or is neither uint8 nor uint16,
@@ -162,7 +171,7 @@ class Frame(Value):
     is_damaged: bool = False
     is_reported: bool | None = None
     earlier: Frame | None = None
-    red_chroma: NDArray[np.uint8] | None = None
+    red_chroma: Image | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, str):
@@ -215,8 +224,10 @@ class Frame(Value):
             check_unmasked(f"{origin}Frame.red_chroma", self.red_chroma)
             half = (-(-self.image.shape[0] // 2), -(-self.image.shape[1] // 2))
             shape, dtype = self.red_chroma.shape, self.red_chroma.dtype
-            if shape != half or dtype != np.uint8:
-                raise ValueError(f"{origin}Frame.red_chroma: expected shape {half}, uint8, got {shape}, {dtype}")
+            if shape != half or dtype not in (np.uint8, np.uint16):
+                raise ValueError(
+                    f"{origin}Frame.red_chroma: expected shape {half}, uint8 or uint16, got {shape}, {dtype}"
+                )
             object.__setattr__(self, "red_chroma", frozen_view(self.red_chroma))
 
     @property

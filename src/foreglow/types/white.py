@@ -6,14 +6,15 @@ import dataclasses
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foreglow.types.arrays import Image
-from foreglow.types.frame import COLOURLESS, Frame
+from foreglow.types.frame import Frame, colourless
 
 
 def full_scale(frame: Frame, white_level: int | None) -> Frame:
     """`frame` with images in which white is the largest value of their type: models have learnt from such images.
+
+    So it is in its chroma.
 
     Args:
         frame: A frame.
@@ -23,20 +24,17 @@ def full_scale(frame: Frame, white_level: int | None) -> Frame:
     if white_level is None or white_level >= top:
         return frame
     earlier = None if frame.earlier is None else full_scale(frame.earlier, white_level)
-    chroma = None if frame.red_chroma is None else _redder(frame.red_chroma, top / white_level)
-    return dataclasses.replace(frame, image=_scaled(frame.image, top / white_level), earlier=earlier, red_chroma=chroma)
+    factor, chroma = top / white_level, frame.red_chroma
+    if chroma is not None:
+        chroma = _scaled(chroma, factor, colourless(chroma))
+    return dataclasses.replace(frame, image=_scaled(frame.image, factor), earlier=earlier, red_chroma=chroma)
 
 
-def _redder(chroma: NDArray[np.uint8], factor: float) -> NDArray[np.uint8]:
-    """`Frame.red_chroma`, which is a share of white as well, as much further from that of white light."""
+def _scaled(image: Image, factor: float, zero: int = 0) -> Image:
+    """How far `image` is from `zero`, `factor` times, rounded, and within the type."""
     import cv2
 
-    table = np.clip(np.rint(COLOURLESS + factor * (np.arange(256) - COLOURLESS)), 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(np.ascontiguousarray(chroma), table), np.uint8)
-
-
-def _scaled(image: Image, factor: float) -> Image:
-    import cv2
-
-    scalar: Any = factor
-    return cast("Image", cv2.multiply(np.ascontiguousarray(image), scalar))  # rounded, and at most the largest value
+    pixels: Any = np.ascontiguousarray(image)
+    if not zero:
+        return cast("Image", cv2.multiply(pixels, cast("Any", factor)))
+    return cast("Image", cv2.addWeighted(pixels, factor, pixels, 0.0, zero * (1.0 - factor)))

@@ -128,7 +128,8 @@ def test_a_killed_writers_file_is_read_up_to_its_last_whole_chunk(tmp_path: Path
     third = data.index(struct.pack("<BQ", 6, 0)[:1], len(data) // 2)
     path = tmp_path / "drive.mcap.partial"
     path.write_bytes(data[:third])
-    source = Recording(path)
+    with pytest.warns(UserWarning, match="the recording was not finished"):
+        source = Recording(path)
     frames = list(source)
     assert 0 < len(frames) < len(IMAGES)
     assert source.skipped == []
@@ -307,7 +308,8 @@ def test_what_a_killed_rosbag_left(tmp_path: Path) -> None:
     data[position : position + 8] = bytes(8)
     path = tmp_path / "drive.bag.active"
     path.write_bytes(data[:end])
-    source = Recording(path)
+    with pytest.warns(UserWarning, match="the recording was not finished"):
+        source = Recording(path)
     np.testing.assert_array_equal([frame.image for frame in source], IMAGES)
     with pytest.raises(ValueError, match=r"drive\.bag: truncated bag, its index is missing or cut"):
         Recording(path.rename(tmp_path / "drive.bag"))

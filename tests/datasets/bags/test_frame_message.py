@@ -107,9 +107,20 @@ def test_an_earlier_image(image: NDArray[np.uint8]) -> None:
     np.testing.assert_array_equal(found.image, image)
 
 
-@given(arrays(np.uint8, (24, 32)))
+@given(arrays(np.uint8, (24, 32)) | arrays(np.uint16, (24, 32)))
 def test_colour(chroma: NDArray[np.uint8]) -> None:
-    np.testing.assert_array_equal(returned(Frame(IMAGE, 0, red_chroma=chroma)).red_chroma, chroma)
+    found = returned(Frame(IMAGE, 0, red_chroma=chroma)).red_chroma
+    assert found is not None
+    assert found.dtype == chroma.dtype
+    np.testing.assert_array_equal(found, chroma)
+
+
+def test_colour_of_an_early_recording() -> None:
+    """It had 8 bits, and did not say so."""
+    fields = json.loads(FrameMessage.of(Frame(IMAGE, 0, red_chroma=np.full((24, 32), 9, np.uint8))).to_json())
+    del fields["red_chroma"]["bits"]
+    found = parse_json(json.dumps(fields), FrameMessage, "here").frame_of(IMAGE, "there")
+    np.testing.assert_array_equal(found.red_chroma, np.full((24, 32), 9, np.uint8))
 
 
 @pytest.mark.parametrize(

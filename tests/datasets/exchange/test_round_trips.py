@@ -375,7 +375,8 @@ def test_earlier_images_are_no_frames(tmp_path: Path) -> None:
     folder = next((tmp_path / "own/images").iterdir())
     assert [path.name for path in folder.glob("*_earlier.png")] == ["000010_earlier.png"]
     beside = "earlier image, without labels, beside a labelled one"
-    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1}
+    times = "sequence with attributes (weather, road, driver, times, ...)"
+    assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1, times: 1}
     again = LabelFile(tmp_path / "b.xml", folder)
     assert again.lost == labels_of(again).lost == labels_of(again, {2, 10}).lost == {beside: 1}
     assert not labels_of(again, {2, 22}).lost
@@ -395,23 +396,9 @@ def test_the_earlier_image_of_a_frame_is_chosen_by_its_time(tmp_path: Path) -> N
     clip = make_video(tmp_path / "clip.mp4", times=[*range(12), *range(12, 36, 3)])
     images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72)) for number in (9, 15, 19))
     write_labels_file(tmp_path / "a.xml", LabelSet(images, is_video=True), "cvat")
-    pairs = list(LabelFile(tmp_path / "a.xml", clip).pairs())
-    ages_s = [(now.timestamp_ns - before.timestamp_ns) / 1e9 for now, before in pairs if before is not None]
+    frames = list(LabelFile(tmp_path / "a.xml", clip))
+    ages_s = [(each.timestamp_ns - each.earlier.timestamp_ns) / 1e9 for each in frames if each.earlier is not None]
     assert ages_s == pytest.approx([0.24, 0.24, 0.24])
-
-
-@pytest.mark.parametrize("kind", ["cvat", "coco", "label-studio"])
-def test_lights_without_numbers_are_other_vehicles_in_every_image(tmp_path: Path, kind: str) -> None:
-    clip = make_video(tmp_path / "clip.mp4")
-    marks = {2: (Mark(Kind.LIGHT, (5, 8), oid=3, iid=7), Mark(Kind.LIGHT, (20, 8))), 4: (Mark(Kind.LIGHT, (30, 8)),)}
-    marks[6] = (Mark(Kind.LIGHT, (40, 8)), Mark(Kind.LIGHT, (9, 9), oid=3, iid=7))
-    images = tuple(ImageLabels(f"frame_{number:06d}.png", (96, 72), found) for number, found in marks.items())
-    path = tmp_path / ("a.xml" if kind == "cvat" else "a.json")
-    write_labels_file(path, LabelSet(images, is_video=True), kind)
-    source = LabelFile(path, clip)
-    vehicles = [vehicle for image_id in source.frame_ids for vehicle in source.annotations(image_id)]
-    assert sorted(vehicle.oid for vehicle in vehicles) == [3, 3, 4, 5, 6]
-    assert sorted(light.iid for vehicle in vehicles for light in vehicle.instances) == [7, 7, 8, 9, 10]
 
 
 def test_frames_of_a_video_keep_their_times_and_a_moment_of_the_past(tmp_path: Path) -> None:

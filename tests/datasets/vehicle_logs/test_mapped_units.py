@@ -131,6 +131,43 @@ def test_a_number_is_not_its_own_sign(tmp_path: Path) -> None:
         decoder_of(tmp_path, DBC, MAPPING.replace('signal = "Pace"\n', 'signal = "Pace"\nis_negative = "Pace"\n'))
 
 
+@pytest.mark.parametrize("factor", [0.0174533, -0.0174533])
+def test_a_sign_beside_a_factor_of_either_sign(tmp_path: Path, factor: float) -> None:
+    """With a negative factor, all bends were to the right."""
+    decoder = decoder_of(tmp_path, DBC, MAPPING.replace("0.017453292519943295", str(factor)))
+    key = next(key for key in decoder.keys if key[0] == 515)
+    for number, (sign, expected) in enumerate(((0, 10.0), (1, -10.0))):
+        data = (1000 | sign << 14).to_bytes(2, "little")
+        decoder.take(number, key, bytes(2) + data + bytes(4), "bus")
+        motion = decoder.log.motion(number)
+        assert motion is not None
+        assert motion.yaw_rate_radps == pytest.approx(expected * factor)
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "signal"),
+    [
+        ('is_negative = "TurnRight"\n', "yaw_rate.is_negative", "Turn"),
+        ('is_start_left = "BendInRight"\n', "segment.is_start_left", "BendIn"),
+        ('is_end_left = "BendOutRight"\n', "segment.is_end_left", "BendOut"),
+        ('is_downhill = "GradeDown"\n', "slope.is_downhill", "Grade"),
+    ],
+)
+def test_numbers_of_either_sign_need_one(tmp_path: Path, line: str, field: str, signal: str) -> None:
+    """All bends were to the left, and all roads went up."""
+    mapping = MAPPING.replace(line, "")
+    with pytest.raises(
+        ValueError, match=rf"car\.toml: {field}: expected the signal that has the sign of {signal}, got"
+    ):
+        decoder_of(tmp_path, DBC, mapping)
+    signed, num = re.subn(rf"( SG_ {signal} .*?@1)\+ \((.*?),0\) \[.*?\]", r"\1+ (\2,-50) [0|0]", DBC)
+    assert num == 1
+    decoder_of(tmp_path, signed, mapping)
+    decoder_of(tmp_path, signed.replace(",-50)", ",0)").replace("@1+ (", "@1- ("), mapping)
+    with pytest.raises(ValueError, match=field):
+        decoder_of(tmp_path, signed.replace(",-50) [0|0]", ",-50) [0|77]"), mapping)
+
+
 def test_signals_that_cannot_be_decoded_are_the_fault_of_the_dbc(tmp_path: Path) -> None:
     overlapping = re.sub(r"( SG_ Turn : )\d+\|", r"\g<1>8|", DBC)
     with pytest.raises(ValueError, match=r"car\.dbc: Dynamics: expected signals that can be decoded"):

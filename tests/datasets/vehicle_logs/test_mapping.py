@@ -219,6 +219,7 @@ def test_meanings_of_curvature() -> None:
     for code in range(256):
         assert curvature_code(own.per_m(code)) == code
         assert own.per_m(code) == pytest.approx(curvature_from_code(code, True))
+        assert own.per_m(-code) == pytest.approx(curvature_from_code(code, code == 0))
 
 
 @pytest.mark.parametrize(
@@ -236,7 +237,13 @@ def test_meanings_of_curvature() -> None:
         ("left_when = 0", "left_when = 2", r"curvature\.left_when: .*0 or 1"),
         ("left_when = 0", "left_when = false", r"curvature\.left_when: .*valid integer, got False"),
         ("factor = 0.2777777777777778", "factor = nan", r"speed\.factor: .*finite"),
-        ("factor = 0.2777777777777778", "factor = 0.0", r"speed\.factor: expected a number other than 0"),
+        (
+            "factor = 0.2777777777777778",
+            "factor = 0.0",
+            r"speed\.factor: expected from 1e-09 to 100 in amount, got 0",
+        ),
+        ("factor = 0.2777777777777778", "factor = 1e9", r"speed\.factor: expected from 1e-09 to 100 in amount"),
+        ("factor = 0.2777777777777778", "factor = -1e-300", r"speed\.factor: expected from 1e-09 to 100 in amount"),
         ("[segment]", "bus = 1\n[segment]", r"car\.toml: bus: "),
         ("[position]", "[place]", r"car\.toml: place: unknown, expected one of segment"),
         (MAPPING[MAPPING.index("[yaw_rate]") :], "", "speed, yaw_rate: expected both sections or neither"),
@@ -256,12 +263,10 @@ def test_broken_mappings(tmp_path: Path, old: str, new: str, message: str) -> No
 
 
 def test_numbers_that_cannot_be_computed_with(tmp_path: Path) -> None:
-    (tmp_path / "car.dbc").write_text(DBC.replace("BendIn : 24|8@1+", "BendIn : 24|8@1-"))
-    (tmp_path / "car.toml").write_text(MAPPING.replace("[curvature]", "[curvature]\nstraight_code = 2"))
-    decoder = CanDecoder(tmp_path / "car.dbc", tmp_path / "car.toml")
-    key = next(key for key in decoder.keys if key[1])  # of the message Piece
-    with pytest.raises(ValueError, match="bus: Piece: expected numbers that can be computed with"):
-        decoder.take(0, key, bytes([7, 6, 50, 128, 0, 0, 2, 0]), "bus")
+    decoder = decoder_of(tmp_path, DBC.replace("(0.5,0) [0|127]", "(1e307,0) [0|0]"))
+    key = next(key for key in decoder.keys if key[0] == 513)  # of the message Facts
+    with pytest.raises(ValueError, match="bus: Facts: expected numbers that can be computed with"):
+        decoder.take(0, key, bytes([1, 7, 17, 0, 0, 0, 0, 0]), "bus")
 
 
 def test_broken_descriptions(tmp_path: Path) -> None:

@@ -93,6 +93,16 @@ def test_lights_in_one_box_are_one_object(dataset: PVDN, tmp_path: Path) -> None
     assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["3", "1"]]
 
 
+def test_no_object_is_twice_in_an_image(dataset: PVDN, tmp_path: Path) -> None:
+    """A point that was copied in a tool has the numbers of the first; measures refuse such files."""
+    for image_id in IMAGES:
+        path = dataset.root / f"labels/keypoints/{image_id:06d}.json"
+        path.write_text(path.read_text().replace('"iid": 9', '"iid": 4'))
+    export_mot(dataset, BOXES, followed(0, 0, 0), tmp_path / "out")
+    rows = (tmp_path / "out/gt/S00003/gt/gt.txt").read_text().splitlines()
+    assert [row.split(",")[:2] for row in rows] == [["1", "1"], ["2", "1"], ["2", "2"], ["3", "1"], ["3", "2"]]
+
+
 @pytest.mark.parametrize("name", ["gt/S00003/gt/gt.txt", "gt/S00003/seqinfo.ini", "trackers/ours/data/S00003.txt"])
 def test_files_of_another_tool_stay(dataset: PVDN, tmp_path: Path, name: str) -> None:
     write(tmp_path / "out" / name, "mine")

@@ -55,7 +55,7 @@ def made_up(num_samples: int, seed: int = 0, set_size: int = 5) -> Samples:
         groups=np.where(labels == 1, 0, -1).astype(np.int8),
         boxes_xyxy_px=np.zeros((num_samples, 4), np.int32),
         image_ids=np.arange(num_samples, dtype=np.int64),
-        sequence_ids=np.zeros(num_samples, np.int32),
+        sequence_ids=np.zeros(num_samples, np.int64),
         sets=np.arange(num_samples, dtype=np.int32) // set_size,
     )
 
@@ -338,19 +338,19 @@ def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypat
     monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
     out = tmp_path / "mine"
     model_at(tmp_path / "start.onnx", WIDEST, 5)
-    command = ["train", drives, "--from", tmp_path / "start.onnx", "--out", out, "--device", "cpu"]
-    command += ["--config", drives.parent / "config.toml"]
+    command = ["train", drives, "--from", tmp_path / "start.onnx", "--device", "cpu"]
+    command += ["--config", drives.parent / "config.toml", "--out"]
     for name in ("foreglow", "paper"):
         message = f"expected the recipe related with --from, got {name!r}"
-        assert message in complaint(*command, "--recipe", name)
-    done = foreglow_command(*command, "--recipe", "related")
+        assert message in complaint(*command, out, "--recipe", name)
+    done = foreglow_command(*command, out, "--recipe", "related")
     assert done.exit_code == 0, done.output
     summary = json.loads((out / "summary.json").read_text())
     assert summary["recipe"]["network"] == "related"
     assert summary["mixed_in"] == OLD_SAMPLES.name
     assert OnnxClassifier(ClassifierConfig(model=out / "model.onnx")).spec == WIDEST
     more = make_drives(tmp_path / "more", num_images=2)
-    done = foreglow_command(*command, "--out", tmp_path / "mixed", "--mix", more)
+    done = foreglow_command(*command, tmp_path / "mixed", "--mix", more)
     assert done.exit_code == 0, done.output
 
 

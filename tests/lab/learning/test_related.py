@@ -74,7 +74,7 @@ def pairs(num_sets: int, seed: int) -> Samples:
         groups=np.where(labels, 0, -1).astype(np.int8),
         boxes_xyxy_px=np.tile(np.array([0, 0, 4, 4], np.int32), (count, 1)),
         image_ids=np.array(sets, np.int64),
-        sequence_ids=np.zeros(count, np.int32),
+        sequence_ids=np.zeros(count, np.int64),
         sets=np.array(sets, np.int32),
     )
 

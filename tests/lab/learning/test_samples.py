@@ -39,6 +39,7 @@ from foreglow.lab.learning.samples import (
 from foreglow.proposals import make_proposer
 from foreglow.types import Frame
 from foreglow.whole_files import RemadeWarning, output_words
+from tests.datasets.tiny_pvdn import edit
 from tests.lab.learning.tiny_drives import CONFIG, doubt, make_drives
 from tests.lab.learning.tiny_training import make_samples
 from tests.lab.studies.ranged_drives import make_split
@@ -79,6 +80,13 @@ def test_samples_are_what_the_pipeline_would_classify(data: Path) -> None:
         x1, y1, x2, y2 = boxes.T
         assert (own.labels == 1).tolist() == ((x1 <= x) & (x <= x2) & (y1 <= y) & (y <= y2)).tolist()
         assert set(own.sequence_ids.tolist()) == {dataset.sequence(image_id).id}
+
+
+def test_a_drive_may_have_any_number(own: PVDN) -> None:
+    """Such as the time at which it began."""
+    path, number = own.root / "labels/sequences.json", 20261127165800
+    edit(path, "sequences", 0, "id", value=number)
+    assert number in collect_samples(PVDN(own.root), PLAIN).sequence_ids.tolist()
 
 
 def collect_samples(dataset: PVDN, config: SampleConfig) -> Samples:

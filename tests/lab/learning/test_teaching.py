@@ -54,7 +54,7 @@ def samples_of(num_sets: int, seed: int) -> Samples:
         groups=np.where(labels, 0, -1).astype(np.int8),
         boxes_xyxy_px=np.tile(np.array([0, 0, 4, 4], np.int32), (count, 1)),
         image_ids=np.repeat(np.arange(num_sets), 4),
-        sequence_ids=np.zeros(count, np.int32),
+        sequence_ids=np.zeros(count, np.int64),
         sets=np.repeat(np.arange(num_sets, dtype=np.int32), 4),
     )
 

@@ -73,7 +73,7 @@ def make_samples(num_samples: int, seed: int, **changed: Any) -> Samples:
         "groups": np.where(labels == 1, random.integers(0, 3, num_samples), -1).astype(np.int8),
         "boxes_xyxy_px": np.tile(np.array([0, 0, 4, 4], np.int32), (num_samples, 1)),
         "image_ids": np.arange(num_samples, dtype=np.int64),
-        "sequence_ids": np.zeros(num_samples, np.int32),
+        "sequence_ids": np.zeros(num_samples, np.int64),
         "sets": np.arange(num_samples, dtype=np.int32),
     }
     return Samples(**arrays | changed)

@@ -21,6 +21,8 @@ def test_a_scene_in_a_file(tmp_path: Path) -> None:
     assert open_drive(str(path), CameraOptions()).name == "night/5"
     with pytest.raises(ValueError, match="quality: expected one of"):
         open_drive(str(path), CameraOptions(quality="best"))
+    with pytest.raises(ValueError, match="expected no --seed beside it"):
+        open_drive(str(path), CameraOptions(seed=3))
 
 
 @pytest.mark.renderer

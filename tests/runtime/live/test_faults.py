@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.faulty import WRONG_FRAMES, Lamps, ScriptedCamera, Step, live_config
 from foreglow.beam.faults import GuardFault
+from foreglow.config import PipelineConfig, preset
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.live import LiveEndedError, LiveFault, LiveLoop
 from foreglow.types import BeamMode, Frame
@@ -58,6 +59,17 @@ def test_a_camera_that_the_configuration_does_not_fit_ends_it(drive: list[Frame]
     configuration = live_config().changed("proposals", region_xyxy_px=(9000, 0, 9100, 100))
     with pytest.raises(ValueError, match=r"proposals\.region_xyxy_px: expected a part of the frame, \[9000"):
         run_live(ScriptedCamera(drive[:3], is_live=True, is_endless=True), configuration)
+
+
+@pytest.mark.parametrize(
+    "configuration",
+    [preset("foreglow"), preset("foreglow").detector_only, preset("baseline").changed("beam", policy="high")],
+    ids=["no policy", "no tracker", "no model"],
+)
+def test_a_pipeline_that_commands_no_beam_is_refused(drive: list[Frame], configuration: PipelineConfig) -> None:
+    """The lamps stayed in low beam, and nothing said why."""
+    with pytest.raises(ValueError, match="make_pipeline: expected one that commands a beam"):
+        run_live(ScriptedCamera(drive[:3]), configuration)
 
 
 def test_a_source_without_frames_is_given_up() -> None:

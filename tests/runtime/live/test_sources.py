@@ -154,6 +154,7 @@ class FakeCapture:
     """OpenCV's capture of a camera that brings three frames and is then unplugged."""
 
     instances: list[FakeCapture] = []  # noqa: RUF012
+    pixels = "MJPG"
 
     def __init__(self, device: int | str, backend: int) -> None:
         self.device, self.backend = device, backend
@@ -168,9 +169,16 @@ class FakeCapture:
         self.properties[name] = value
         return True
 
+    def get(self, name: int) -> float:
+        return float(cv2.VideoWriter.fourcc(*self.pixels)) if name == cv2.CAP_PROP_FOURCC else 0.0
+
     def read(self) -> tuple[bool, Any]:
         self.num_read += 1
         grey = night_image(self.num_read)
+        if self.pixels == "Y16 ":
+            few = grey.astype(np.uint16) * np.uint16(16)
+            is_whole = self.properties.get(cv2.CAP_PROP_CONVERT_RGB) == 0
+            return True, few if is_whole else np.repeat((few >> 8).astype(np.uint8)[:, :, np.newaxis], 3, axis=2)
         return self.num_read <= 3, np.repeat(grey[:, :, np.newaxis], 3, axis=2)
 
     def release(self) -> None:
@@ -205,6 +213,14 @@ def test_camera(capture: list[FakeCapture]) -> None:
         cv2.CAP_PROP_FPS: 18.0,
         cv2.CAP_PROP_BUFFERSIZE: 1,
     }
+
+
+@pytest.mark.usefixtures("capture")
+def test_a_camera_of_16_bits_keeps_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As OpenCV has it, one of 12 bits would have 16 grey levels."""
+    monkeypatch.setattr(FakeCapture, "pixels", "Y16 ")
+    (frame,) = itertools.islice(open_live("camera:0", CameraOptions()), 1)
+    np.testing.assert_array_equal(frame.image, night_image(1).astype(np.uint16) * np.uint16(16))
 
 
 @pytest.mark.usefixtures("capture")

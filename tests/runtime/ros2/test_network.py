@@ -28,6 +28,7 @@ pytest.importorskip("rclpy")
 from foreglow.runtime.ros2 import STAGE_NODES
 from foreglow.runtime.ros2.measurement import WHOLE, Answer, Command, Network
 from foreglow.runtime.ros2.node import BAD_MESSAGE, INPUT_MISSING
+from foreglow.runtime.ros2.supervisor import HUNG
 from tests.cli.commands import complaint
 from tests.linux import needs_processes
 
@@ -115,28 +116,27 @@ def test_a_killed_node_means_low_beam_and_comes_back(frames: list[Frame]) -> Non
             network.run(killing(network, frames, victim))
 
 
-def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Frame]:
-    """Frames at full rate, over and over; once there is light a node is killed, until there is light again.
+def endless(frames: list[Frame]) -> Iterator[Frame]:
+    """Frames at full rate, over and over.
 
     Each has noise of its own: of 25 images over and over, of which a busy machine drops some, a guard knows the rest.
     """
     noise = np.random.default_rng(1)
-    turns = enumerate(itertools.cycle(frames))
-    endless = (
-        dataclasses.replace(
-            frame,
-            image=np.asarray(cv2.add(frame.image, noise.integers(0, 4, frame.image.shape, np.uint8)), np.uint8),
-            timestamp_ns=k * STEP_NS,
-            sequence="long",
-        )
-        for k, frame in turns
-    )
+    for k, frame in enumerate(itertools.cycle(frames)):
+        noisy = cv2.add(frame.image, noise.integers(0, 4, frame.image.shape, np.uint8))
+        image, time_ns = np.asarray(noisy, np.uint8), k * STEP_NS
+        yield dataclasses.replace(frame, image=image, timestamp_ns=time_ns, sequence="long")
+
+
+def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Frame]:
+    """Frames at full rate; once there is light a node is killed, until there is light again."""
+    turns = endless(frames)
     commands = network.commands
 
     def until(is_meant: Callable[[Command], bool]) -> Iterator[Frame]:
         """A minute at most."""
         since = len(commands)
-        for frame in itertools.islice(endless, 18 * 60):
+        for frame in itertools.islice(turns, 18 * 60):
             if any(map(is_meant, commands[since:])):
                 return
             yield frame
@@ -161,9 +161,53 @@ def killing(network: Network, frames: list[Frame], victim: str) -> Iterator[Fram
         assert low.beam.mode == BeamMode.LOW
         # After the last image that was on its way, late on a busy machine. How soon is the benchmark's to say.
         assert low.received_ns - max(before.received_ns, killed_ns) < 1e9
-    yield from itertools.islice(endless, 9)  # what was on its way when the process died
+    yield from itertools.islice(turns, 9)  # what was on its way when the process died
     yield from until(is_lit)
     assert network.processes[victim].popen.pid != process.pid
+
+
+HANGS_ONCE = """
+import pathlib, time
+from foreglow.distance import GroundPlane
+
+class HangsOnce(GroundPlane):
+    def estimate(self, frame, detections):
+        here = pathlib.Path(__file__).with_name("hung")
+        if frame.sequence == "long" and not here.exists():
+            here.touch()
+            time.sleep(600)
+        return super().estimate(frame, detections)
+"""
+
+
+@pytest.mark.parametrize(("nodes", "name"), [(STAGE_NODES, "distance"), (WHOLE, "pipeline")], ids=["stages", "whole"])
+def test_a_node_that_hangs_ends_and_comes_back(
+    nodes: tuple[str, ...],
+    name: str,
+    frames: list[Frame],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """It hung for good, and no other node could help it."""
+    (tmp_path / "hanging.py").write_text(HANGS_ONCE)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    config = preset("foreglow").commanding().changed("distance", estimator="hanging:HangsOnce")
+    with Network(config, nodes, keeps_results=False) as network:
+        network.warm_up(frames[0])
+        hanging = network.processes[name].popen
+        turns = endless(frames)
+
+        def until(is_done: Callable[[], bool]) -> Iterator[Frame]:
+            """A minute at most."""
+            yield from itertools.takewhile(lambda _: not is_done(), itertools.islice(turns, 18 * 60))
+            assert is_done(), [one.beam.faults for one in network.commands[-5:]]
+
+        network.run(until(lambda: network.processes[name].popen is not hanging))
+        assert hanging.returncode == HUNG
+        assert f"foreglow: stage_hangs: {name}: distance; start again" in capfd.readouterr().err
+        since = len(network.commands)
+        network.run(until(lambda: any(not one.beam.faults for one in network.commands[since:])))
 
 
 def foreglow(*arguments: str) -> list[str]:

@@ -65,6 +65,8 @@ MIN_STEP_S = 0.05
 MAX_VIEWS = 400
 """Of a longer drive, so many frames are looked at: pairs, evenly spread."""
 
+_STORED_TO_NS = 1_500_000  # many files have times in whole milliseconds
+
 BRIGHT_PERCENTILE = 99.5
 
 Grey = NDArray[np.uint8]
@@ -112,12 +114,17 @@ def reduction_of(width_px: int) -> int:
 
 
 def views_of(frames: Iterable[Frame], rate_hz: float | None, num_frames: int | None) -> Iterator[tuple[Frame, View]]:
-    """The frames to look at, in the order of time."""
+    """The frames to look at, in the order of time: by their own times, however the rate varies."""
     gap = max(1, math.ceil(MIN_STEP_S * (rate_hz or 1.0) - 1e-6))
     stride = max(1, math.ceil((num_frames or 0) * 2 / (gap * MAX_VIEWS)))
-    for index, frame in enumerate(frames):
-        if index % gap == 0 and index // gap % stride < 2:
+    least_ns, number, latest = MIN_STEP_S * 1e9 - _STORED_TO_NS, 0, ("", 0)
+    for frame in frames:
+        is_near = number > 0 and frame.sequence == latest[0] and 0 <= frame.timestamp_ns - latest[1] < least_ns
+        if is_near:
+            continue
+        if number % stride < 2:
             yield frame, View(_small(frame.image), frame.timestamp_ns * 1e-9, frame.sequence)
+        number, latest = number + 1, (frame.sequence, frame.timestamp_ns)
 
 
 def _small(image: Image) -> Grey:

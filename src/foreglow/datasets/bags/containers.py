@@ -61,6 +61,13 @@ class Container(Protocol):
         """
         ...
 
+    @property
+    def lack(self) -> str:
+        """A message, with the path, that what was to be recorded is not all there, as the recording says itself or by
+        its name; empty where neither says so.
+        """
+        ...
+
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """The messages on the topics `names`, None for all, in the order of the file.
 
@@ -76,6 +83,16 @@ class Container(Protocol):
 def is_partial(path: Path) -> bool:
     """Whether its name says that it is incomplete."""
     return path.name.endswith(PARTIAL_SUFFIXES)
+
+
+def unfinished(path: Path) -> str:
+    """A message about a recording whose name says that it is incomplete."""
+    return f"{path}: the recording was not finished, what is made from it is incomplete"
+
+
+def interrupted(path: Path) -> str:
+    """A message about a recording that says that frames of its source are missing at its end."""
+    return f"{path}: the recording was interrupted, what is made from it is incomplete"
 
 
 def continuation(path: Path, end: int, size: int) -> str:

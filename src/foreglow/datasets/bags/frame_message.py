@@ -106,15 +106,17 @@ def _road(stored: _StoredRoad) -> RoadAhead:
 class _StoredChroma(Record):
     width: Annotated[int, Field(ge=1, le=MAX_SIDE_PX // 2)]
     height: Annotated[int, Field(ge=1, le=MAX_SIDE_PX // 2)]
-    zlib: str  # the rows, compressed, in base 64
+    bits: Literal[8, 16] = 8  # older recordings do not have it
+    zlib: str  # the rows, compressed, in base 64; little-endian
 
 
 def _stored_chroma(chroma: Chroma) -> _StoredChroma:
-    return _StoredChroma(width=chroma.shape[1], height=chroma.shape[0], zlib=_packed(chroma))
+    height, width = chroma.shape
+    return _StoredChroma(width=width, height=height, bits=_bits(chroma), zlib=_packed(chroma))
 
 
 def _chroma(stored: _StoredChroma) -> Chroma:
-    return np.frombuffer(_unpacked(stored.zlib, stored.height, stored.width), np.uint8).reshape(stored.height, -1)
+    return _rows(stored)
 
 
 class _StoredEarlier(Record):
@@ -131,19 +133,28 @@ def _stored_earlier(earlier: Frame) -> _StoredEarlier:
         timestamp_ns=earlier.timestamp_ns,
         width=earlier.width_px,
         height=earlier.height_px,
-        bits=8 if image.dtype == np.uint8 else 16,
-        zlib=_packed(image.astype(image.dtype.newbyteorder("<"), copy=False)),
+        bits=_bits(image),
+        zlib=_packed(image),
     )
 
 
 def _earlier(stored: _StoredEarlier) -> Frame:
+    return Frame(_rows(stored), stored.timestamp_ns)
+
+
+def _bits(rows: Image) -> Literal[8, 16]:
+    return 8 if rows.dtype == np.uint8 else 16
+
+
+def _rows(stored: _StoredChroma | _StoredEarlier) -> Image:
     values = _unpacked(stored.zlib, stored.height, stored.width * stored.bits // 8)
-    image = np.frombuffer(values, f"<u{stored.bits // 8}").reshape(stored.height, -1)
-    return Frame(image.astype(image.dtype.newbyteorder("="), copy=False), stored.timestamp_ns)
+    rows: NDArray[Any] = np.frombuffer(values, f"<u{stored.bits // 8}").reshape(stored.height, -1)
+    return rows.astype(rows.dtype.newbyteorder("="), copy=False)
 
 
-def _packed(rows: NDArray[Any]) -> str:
-    return b64encode(zlib.compress(rows.tobytes(), level=1)).decode()
+def _packed(rows: Image) -> str:
+    little = rows.astype(rows.dtype.newbyteorder("<"), copy=False)
+    return b64encode(zlib.compress(little.tobytes(), level=1)).decode()
 
 
 def _unpacked(text: str, num_rows: int, row_bytes: int) -> bytes:

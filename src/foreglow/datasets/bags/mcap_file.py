@@ -13,16 +13,34 @@ from collections.abc import Collection, Generator, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from foreglow.datasets.bags.containers import MAX_BYTES, Message, Refuse, Topic, continuation, decompressed, is_partial
+from foreglow.datasets.bags.containers import (
+    MAX_BYTES,
+    Message,
+    Refuse,
+    Topic,
+    continuation,
+    decompressed,
+    interrupted,
+    is_partial,
+    unfinished,
+)
 from foreglow.datasets.bags.cursor import Cursor
 
 MAGIC = b"\x89MCAP0\r\n"
 
+END_METADATA_NAME, IS_COMPLETE = "foreglow_end", "is_complete"
+"""Metadata record at the end of our own recordings, and its entry, `true` or `false`: whether all frames of the source
+are in it."""
+
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0B, 0x0F
+_METADATA, _METADATA_INDEX = 0x0C, 0x0D
 _READ = frozenset({_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK})
 _FOOTER_BYTES = 20
 _HEAD_BYTES = 9  # a record: opcode (1 byte), length (8), content
 
+
+_MAX_END_BYTES = 1 << 12
+"""Longest record of metadata about the end that is read; ours has some 60 bytes."""
 
 MAX_BREAKS = 100
 """In the order of records; a file may be made of chunks within chunks, each of which is read to its end."""
@@ -49,6 +67,10 @@ class McapFile:
             end = self._size if file.read() == MAGIC else self._walked_end(file)
         self.truncation = "" if end or is_partial(path) else f"{path}: truncated recording, its end is missing"
         self._end = end or self._size
+        if end:
+            self.lack = interrupted(path) if self._is_cut() else ""
+        else:
+            self.lack = unfinished(path) if is_partial(path) else ""
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """As in `Container`; a topic that was defined in a damaged chunk is known from the end of the file.
@@ -131,19 +153,37 @@ class McapFile:
         """
         counts = dict[int, int]()
         with contextlib.suppress(ValueError), self._path.open("rb") as file:
-            file.seek(max(0, self._end - len(MAGIC) - _FOOTER_BYTES))
-            start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
-            if not 0 < start < self._end:
-                return counts
-            file.seek(start)
-            for _, kind, length in self._heads(file, _raise):
-                if kind == _FOOTER or length > MAX_BYTES:
-                    break
+            for kind, length in self._summary_heads(file):
                 if kind in (_SCHEMA, _CHANNEL):
                     channels.add(kind, Cursor(memoryview(file.read(length))))
                 elif kind == _STATISTICS:
                     counts = _message_counts(Cursor(memoryview(file.read(length))))
         return counts
+
+    def _is_cut(self) -> bool:
+        """Whether it says of itself that its source was not read to the end; foreign recordings say nothing."""
+        with contextlib.suppress(ValueError), self._path.open("rb") as file:
+            for kind, length in self._summary_heads(file):
+                if kind != _METADATA_INDEX:
+                    continue
+                index = Cursor(memoryview(file.read(length)))
+                start, size = index.number("Q", "offset"), index.number("Q", "length")
+                if index.text("name") == END_METADATA_NAME and size <= _MAX_END_BYTES:
+                    file.seek(start)
+                    return _is_false(file.read(size))
+        return False
+
+    def _summary_heads(self, file: BinaryIO) -> Iterator[tuple[int, int]]:
+        """Opcode and length of each record of the summary at the end of the file, which is then at its content."""
+        file.seek(max(0, self._end - len(MAGIC) - _FOOTER_BYTES))
+        start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
+        if not 0 < start < self._end:
+            return
+        file.seek(start)
+        for _, kind, length in self._heads(file, _raise):
+            if kind == _FOOTER or length > MAX_BYTES:
+                return
+            yield kind, length
 
     def _heads(self, file: BinaryIO, refuse: Refuse) -> Iterator[tuple[int, int, int]]:
         """Position, opcode and length of each complete record; `file` is then at its content. Ends at a cut record."""
@@ -230,6 +270,20 @@ def _chunk(cursor: Cursor) -> memoryview:
     if checksum and zlib.crc32(records) != checksum:
         raise ValueError("damaged chunk, its checksum is wrong")
     return records
+
+
+def _is_false(record: bytes) -> bool:
+    """Whether the entry of a record of metadata about our recordings' end says that it is not complete."""
+    cursor = Cursor(memoryview(record))
+    if cursor.number("B", "opcode") != _METADATA:
+        return False
+    cursor.number("Q", "length")
+    cursor.text("name")
+    entries = Cursor(cursor.block("metadata"))
+    while not entries.is_at_end:
+        if (entries.text("key"), entries.text("value")) == (IS_COMPLETE, "false"):
+            return True
+    return False
 
 
 def _message_counts(cursor: Cursor) -> dict[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import statistics
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -163,7 +164,7 @@ class Recording(FileSource):
     motion: a CameraInfo does not say where the camera is mounted in the vehicle. A damaged message or chunk, or a
     missing end is an error, and so is a file that changes after it was opened; with `skip`, damaged parts are left out.
     A recording whose name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk, and may
-    grow.
+    grow. A warning says so, and also of a recording of ours whose run was interrupted (`lack`).
 
     Attributes:
         path: File or folder.
@@ -193,12 +194,15 @@ class Recording(FileSource):
         self._states = FileStates(_files_of(self.path))
         if self._container.truncation and on_error == "stop":
             self._lose_part(self._container.truncation)
+        self.lack = self._container.lack
         found = self._found(topic)
         self.topic = self._topic = found.name
         self._decode = DECODERS[found.type, found.encoding]
         self.num_frames = self._container.count(self._topic)
         self.rate_hz = self._rate_hz()
         self.skipped, self.lost_parts = [], []
+        if self.lack:
+            warnings.warn(self.lack, stacklevel=2)
 
     @property
     def name(self) -> str:

@@ -21,6 +21,7 @@ from foreglow.datasets.bags.containers import (
     continuation,
     decompressed,
     is_partial,
+    unfinished,
 )
 from foreglow.datasets.bags.cursor import MAX_FIELDS, Cursor, text_of
 
@@ -55,6 +56,7 @@ class Ros1Bag:
                 raise ValueError(f"{path}: {error}") from None
             end = self._index_end(file, first)
         self.truncation = "" if end or is_partial(path) else f"{path}: truncated bag, its index is missing or cut"
+        self.lack = unfinished(path) if is_partial(path) and not end else ""
         self._end = end or self._size
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:

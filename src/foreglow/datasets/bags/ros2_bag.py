@@ -17,6 +17,8 @@ from foreglow.datasets.bags.containers import (
     Topic,
     check_num_topics,
     continuation,
+    is_partial,
+    unfinished,
 )
 from foreglow.datasets.bags.mcap_file import McapFile
 from foreglow.files import read_yaml
@@ -61,6 +63,7 @@ class SqliteBag:
         if size < expected and size % page:
             raise ValueError(f"{path}: truncated bag, expected whole pages of {page} bytes, got {size} bytes")
         self.truncation = f"{path}: truncated bag, {expected - size} bytes are missing" if size < expected else ""
+        self.lack = unfinished(path) if is_partial(path) else ""
         self._continuation = continuation(path, expected, size) if is_sure and expected < size else ""
         try:
             with closing(self._connect(MAX_TOPIC_BYTES)) as connection:
@@ -138,6 +141,7 @@ class Ros2Bag:
         """
         self._files = [_storage(path) for path in _files(folder)]
         self.truncation = next((file.truncation for file in self._files if file.truncation), "")
+        self.lack = next((file.lack for file in self._files if file.lack), "")
 
     def messages(self, names: Collection[str] | None, refuse: Refuse) -> Iterator[Message]:
         """As in `Container`."""

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from foreglow.datasets.exchange.marks import (
+    MAX_NUMBER,
     ImageLabels,
     Kind,
     LabelSet,
@@ -37,7 +38,7 @@ IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
 OTHER_FIELDS = frozenset(
     {"segmentation", "area", "iscrowd", "num_keypoints", "score", "ignore", "group", "group_id", "track_id"}
 )
-"""Fields of an annotation that COCO and its tools write, and that say nothing of a point."""
+"""Fields of an annotation that COCO and its tools write; but for `track_id`, they say nothing of a point."""
 
 OTHER_ATTRIBUTES = frozenset(
     {"occluded", "rotation", "track_id", "keyframe", "outside", "z_order", "is_crowd", "score", "group", "source"}
@@ -124,7 +125,8 @@ def read_coco(path: Path) -> LabelSet:
         else:
             lost[UNSEEN] += bool(annotation.keypoints) and max(annotation.keypoints[2::3]) <= 0
             given = annotation.attributes
-            mark = _mark(Kind(name), pixel(*point, f"{origin}.keypoints"), given, origin)
+            track = given.get("track_id", (annotation.model_extra or {}).get("track_id"))
+            mark = _mark(Kind(name), pixel(*point, f"{origin}.keypoints"), given, origin, track)
             lost.update(unused(mark.kind, mark.oid, mark.iid, is_rear=mark.is_rear))
             marks[annotation.image_id].append(mark)
     images = (
@@ -162,7 +164,7 @@ def _point(annotation: CocoAnnotation, origin: str) -> tuple[float, float] | Non
     return None
 
 
-def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], origin: str) -> Mark:
+def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], origin: str, track: object) -> Mark:
     return Mark(
         kind,
         position_px,
@@ -170,6 +172,7 @@ def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], or
         number(given.get("iid"), f"{origin}.attributes.iid"),
         truth(given.get("direct", False), f"{origin}.attributes.direct"),
         truth(given.get("rear", False), f"{origin}.attributes.rear"),
+        track if type(track) is int and abs(track) <= MAX_NUMBER else None,
     )
 
 

@@ -94,7 +94,7 @@ def _marks(
     lost: Counter[str],
     track_id: str | None = None,
 ) -> Iterator[Mark]:
-    """The points of a shape that has this label; `track_id` numbers the light if no attribute does."""
+    """The points of a shape that has this label; `track_id` is the number of its track."""
     if shape.tag not in ("points", "box"):
         lost[f"shape {shortened(shape.tag)}"] += 1
     elif label not in set(Kind):
@@ -107,12 +107,13 @@ def _marks(
         oid, iid = (number(given.get(name), f"{where} {name}") for name in ("oid", "iid"))
         is_direct, is_rear = (truth(given.get(name, False), f"{where} {name}") for name in ("direct", "rear"))
         lost.update(unused(Kind(label), oid, iid, is_rear=is_rear))
-        iid = number(track_id, f"{where} id") if iid is None else iid
+        track = number(track_id, f"{where} id")
         points = _points(shape, where)
-        if len(points) > 1 and iid is not None and label != Kind.VEHICLE:
-            raise ValueError(f"{where} points: expected one point of light {iid}, got {len(points)}")
+        light = track if iid is None else iid
+        if len(points) > 1 and light is not None and label != Kind.VEHICLE:
+            raise ValueError(f"{where} points: expected one point of light {light}, got {len(points)}")
         for x, y in points:
-            yield Mark(Kind(label), pixel(x, y, where), oid, iid, is_direct, is_rear)
+            yield Mark(Kind(label), pixel(x, y, where), oid, iid, is_direct, is_rear, track)
 
 
 def _attributes(element: Element, origin: str, common: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -192,16 +193,8 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
     for frame in unknown:
         del marks[frame]
     lost["frame in which a track goes on, but has no shape"] += len(unknown)
-    images = (ImageLabels(str(frame), size_px, _ordered(found)) for frame, found in marks.items())
+    images = (ImageLabels(str(frame), size_px, tuple(found)) for frame, found in marks.items())
     return LabelSet(checked_images(images, path), +lost, is_video=True)
-
-
-def _ordered(marks: list[Mark]) -> tuple[Mark, ...]:
-    """The points of a frame without numbers that only tracks have."""
-    return tuple(
-        Mark(mark.kind, mark.position_px, mark.oid, None, mark.is_direct) if mark.kind == Kind.VEHICLE else mark
-        for mark in marks
-    )
 
 
 def _frames(root: Element, path: Path) -> range:

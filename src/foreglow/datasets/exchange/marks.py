@@ -6,14 +6,14 @@ import dataclasses
 import itertools
 import math
 import re
-import unicodedata
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import PurePosixPath
+from typing import Any
 
-from foreglow.datasets.pvdn.schema import ImageCategory, Instance, Vehicle
+from foreglow.datasets.pvdn.schema import ImageCategory, Instance, Vehicle, is_plain
 from foreglow.wording import shortened
 
 MAX_IMAGES = 200_000
@@ -61,6 +61,7 @@ class Mark:
         iid: Number of the light; None where the tool does not say it, and for vehicles.
         is_direct: As in `Instance` and `Vehicle`.
         is_rear: As in `Instance`.
+        track: The tool's own number of what it follows from image to image; None if it follows nothing.
     """
 
     kind: Kind
@@ -69,6 +70,7 @@ class Mark:
     iid: int | None = None
     is_direct: bool = False
     is_rear: bool = False
+    track: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,17 +154,66 @@ def _mark(kind: Kind, instance: Instance, oid: int | None) -> Mark:
 
 
 def numbered(images: Sequence[ImageLabels]) -> list[ImageLabels]:
-    """`images` with numbers for all vehicles and lights: each that has none is another one than all others."""
+    """`images` with numbers for all vehicles and lights.
+
+    What a tool follows through the images of a folder is one there, and lights of a folder with the same number are of
+    one vehicle: where some of their points have the number that others lack, it is that of all. Everything else without
+    a number is another one than all others.
+    """
     marks = [mark for image in images for mark in image.marks]
-    oids = itertools.count(1 + max((mark.oid for mark in marks if mark.oid is not None), default=-1))
-    iids = itertools.count(1 + max((mark.iid for mark in marks if mark.iid is not None), default=-1))
+    given = {mark.iid for mark in marks if mark.iid is not None}
+    tracks = {mark.track for mark in marks if mark.track is not None}
+    iids, oids = _free(given | tracks), _free({mark.oid for mark in marks if mark.oid is not None})
 
-    def told_apart(mark: Mark) -> Mark:
-        oid = next(oids) if mark.oid is None and mark.kind != Kind.DOUBTFUL else mark.oid
-        iid = next(iids) if mark.iid is None and mark.kind == Kind.LIGHT else mark.iid
-        return dataclasses.replace(mark, oid=oid, iid=iid)
+    def new_iid(mark: Mark) -> int:
+        return next(iids) if mark.track is None or mark.track in given else mark.track
 
-    return [dataclasses.replace(image, marks=tuple(map(told_apart, image.marks))) for image in images]
+    def vehicle_known_by(mark: Mark) -> int | None:
+        return mark.track if mark.kind == Kind.VEHICLE else mark.iid
+
+    lights = _filled(images, "iid", (Kind.LIGHT, Kind.DOUBTFUL), lambda mark: mark.track, new_iid)
+    return _filled(lights, "oid", (Kind.LIGHT, Kind.VEHICLE), vehicle_known_by, lambda _: next(oids))
+
+
+def _free(taken: Collection[int]) -> Iterator[int]:
+    """Numbers that are not taken: above all of these, or from 0 on where not every tool keeps numbers above."""
+    first = 1 + max(taken, default=-1)
+    return itertools.count(first) if first < MAX_NUMBER // 2 else (n for n in itertools.count() if n not in taken)
+
+
+def _filled(
+    images: Sequence[ImageLabels],
+    name: str,
+    kinds: Collection[Kind],
+    known_by: Callable[[Mark], int | None],
+    new: Callable[[Mark], int],
+) -> list[ImageLabels]:
+    """`images` with the number called `name` in all points of these `kinds`.
+
+    Points of the same kind that are `known_by` the same are of one thing in their folder, unless an image has several.
+    """
+    keys: list[list[Hashable]] = []
+    given: dict[Hashable, set[int]] = {}
+    for place, image in enumerate(images):
+        known = [(mark.kind, image.name.rpartition("/")[0], known_by(mark)) for mark in image.marks]
+        counts = Counter(known)
+        keys.append([(place, k) if key[2] is None or counts[key] > 1 else key for k, key in enumerate(known)])
+        for key, mark in zip(keys[-1], image.marks, strict=True):
+            given.setdefault(key, set()).update({getattr(mark, name)} - {None})
+    numbers = {key: found.pop() for key, found in given.items() if len(found) == 1}
+
+    def filled(key: Hashable, mark: Mark) -> Mark:
+        if mark.kind not in kinds or getattr(mark, name) is not None:
+            return mark
+        if key not in numbers:
+            numbers[key] = new(mark)
+        value: dict[str, Any] = {name: numbers[key]}
+        return dataclasses.replace(mark, **value)
+
+    return [
+        dataclasses.replace(image, marks=tuple(map(filled, its_keys, image.marks)))
+        for its_keys, image in zip(keys, images, strict=True)
+    ]
 
 
 def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
@@ -177,7 +228,7 @@ def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
     points: dict[int, Mark] = {}
     lights: dict[int, list[Instance]] = {}
     for mark in marks:
-        oid, iid = mark.oid, mark.iid
+        oid = mark.oid
         assert oid is not None
         instances = lights.setdefault(oid, [])
         if mark.kind == Kind.VEHICLE:
@@ -185,8 +236,7 @@ def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
                 raise ValueError(f"{origin}: vehicle {oid}: expected one point, got several")
             points[oid] = mark
             continue
-        assert iid is not None
-        instances.append(_instance(mark, iid))
+        instances.append(_instance(mark))
     return tuple(
         Vehicle(
             position_px=points[oid].position_px if oid in points else _middle(instances),
@@ -199,13 +249,13 @@ def vehicles_of(marks: Sequence[Mark], origin: str) -> tuple[Vehicle, ...]:
 
 
 def doubtful_of(marks: Iterable[Mark]) -> tuple[Instance, ...]:
-    """The doubtful light among the points of an image."""
-    doubtful = [mark for mark in marks if mark.kind == Kind.DOUBTFUL]
-    return tuple(_instance(mark, number if mark.iid is None else mark.iid) for number, mark in enumerate(doubtful))
+    """The doubtful light among the points of an image, which are `numbered`."""
+    return tuple(_instance(mark) for mark in marks if mark.kind == Kind.DOUBTFUL)
 
 
-def _instance(mark: Mark, iid: int) -> Instance:
-    return Instance(position_px=mark.position_px, iid=iid, is_direct=mark.is_direct, is_rear=mark.is_rear)
+def _instance(mark: Mark) -> Instance:
+    assert mark.iid is not None
+    return Instance(position_px=mark.position_px, iid=mark.iid, is_direct=mark.is_direct, is_rear=mark.is_rear)
 
 
 def _middle(instances: Sequence[Instance]) -> tuple[int, int]:
@@ -283,17 +333,13 @@ def plain_path(name: str, origin: str) -> str:
             message begins with `origin`.
     """
     parts = PurePosixPath(name).parts
-    is_bad = not parts or not all(map(_is_plain, name)) or len(name) > MAX_PATH or re.match("[A-Za-z]:", name)
+    is_bad = not parts or not is_plain(name) or len(name) > MAX_PATH or re.match("[A-Za-z]:", name)
     if is_bad or any(part in ("/", "//", "..") or len(part) > MAX_PART for part in parts):
         raise ValueError(
             f"{origin}: expected a path below the folder of the images, of printable UTF-8 without backslashes, "
             f"at most {MAX_PATH} characters and {MAX_PART} in each part, got {shortened(name)}"
         )
     return "/".join(parts)
-
-
-def _is_plain(character: str) -> bool:
-    return character != "\\" and (character.isprintable() or unicodedata.category(character) == "Zs")
 
 
 def checked_images(images: Iterable[ImageLabels], path: object) -> tuple[ImageLabels, ...]:

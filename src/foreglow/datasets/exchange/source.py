@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
+import itertools
+import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
 from foreglow.datasets.exchange.marks import (
     EARLIER_IMAGE,
     ImageLabels,
+    Kind,
     LabelSet,
     check_near,
     doubtful_of,
+    lost_lines,
     numbered,
     vehicles_of,
 )
-from foreglow.datasets.image_folder import earlier_name, frame_numbers, has_earlier, number_in
+from foreglow.datasets.image_folder import (
+    MAX_STEP,
+    earlier_name,
+    frame_numbers,
+    has_earlier,
+    is_one_drive,
+    natural_key,
+    number_in,
+    steps_in,
+)
 from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
@@ -46,9 +60,15 @@ class LabelFile(LabelledSource):
 
     The folder that an image lies in is its sequence. An image's id is the frame that a run on the same video or folder
     has for it; where the images lie in several folders, the number that its file is called, where all are called by
-    numbers as in PVDN, else its number in the file. Labels of a video are about the frames of a video or about the
-    images of a folder, by their order. Labels of images that are called `frame_000012.png` may be about the frames of a
-    video, too. Times follow the ids, at the video's rate or PVDN's.
+    numbers as in PVDN, else its place in the natural order of all names. Labels of a video are about the frames of a
+    video or about the images of a folder, by their order. Labels of images that are called `frame_000012.png` may be
+    about the frames of a video, too.
+
+    Whatever part of a drive is labelled, its images have the times of the drive: those of the video, of which `time_s`
+    tells as if its rate were steady, or those that a run on their folder has, at PVDN's rate. Where images have no
+    place in their folder, or other places than by their ids, each is a frame later than the one before. A frame comes
+    with one of a quarter of a second before, `Frame.earlier`, unless that is labelled, too: a classifier may want to
+    see what was there before, and nobody labels all frames of a drive.
 
     Attributes:
         labels: What the file says.
@@ -75,9 +95,11 @@ class LabelFile(LabelledSource):
         self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
         named = numbered(self._named())
         self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
-        self._labelled = frozenset(self.folder / image.name for image in named)
+        self._labelled = {self.folder / image.name: id_ for id_, image in self._images.items()}
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
+        self._drives = {each.id: self._drive_of(each) for each in self._sequences}
+        self._steps = {id_: step for each in self._sequences for id_, step in self._steps_of(each).items()}
         self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
 
     @property
@@ -95,7 +117,7 @@ class LabelFile(LabelledSource):
         """The selected frames."""
         self.skipped = []
         if self._video is not None:
-            return (frame for frame, _ in self.pairs())
+            return self._of_video(self._video)
         reads = (functools.partial(self.read, image_id) for image_id in self.frame_ids)
         return self._read_each(reads)
 
@@ -108,32 +130,24 @@ class LabelFile(LabelledSource):
         splits = {folder.resolve().parents[1] for folder in folders if len(folder.resolve().parents) > 1}
         return frozenset({*folders, *filter(is_split, splits)})
 
-    def pairs(self) -> Iterator[tuple[Frame, Frame | None]]:
-        """The selected frames; of a video each with one from a quarter of a second before, unless it is selected, too.
-
-        A classifier may want to see what was there before, and nobody labels all frames of a drive.
-        """
-        if self._video is None:
-            yield from ((frame, None) for frame in self)
-            return
+    def _of_video(self, video: Video) -> Iterator[Frame]:
+        """The selected frames of a video, each with its earlier one."""
         wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
         selected = frozenset(wanted)
         recent: list[Frame] = []
-        for frame in self._video:
+        for frame in video:
             earliest_ns = frame.timestamp_ns - round(2e9 * EARLIER_S)
-            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns]
+            recent = [kept for kept in recent if kept.timestamp_ns >= earliest_ns and kept.sequence == frame.sequence]
             if frame.frame in wanted:
-                earlier = _earlier(recent, frame.timestamp_ns)
-                is_known = earlier is None or earlier.frame in selected
-                yield self._checked(frame, wanted.pop(frame.frame)), None if is_known else earlier
+                earlier = _earlier({kept.frame: kept.timestamp_ns for kept in recent}, frame.timestamp_ns)
+                kept_with_it = next((kept for kept in recent if kept.frame == earlier), None)
+                yield self._checked(frame, wanted.pop(frame.frame), None if earlier in selected else kept_with_it)
             if not wanted:
                 return
             if not recent or frame.timestamp_ns - recent[-1].timestamp_ns >= EARLIER_STEP_S * 1e9:
                 recent.append(frame)
         if wanted:
-            raise ValueError(
-                f"{self._video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before"
-            )
+            raise ValueError(f"{video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before")
 
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`; of a video, all frames before it are decoded."""
@@ -144,11 +158,50 @@ class LabelFile(LabelledSource):
                 if frame.frame == number:
                     return self._checked(frame, image_id)
             raise ValueError(self._missing(number))
-        path = self.image_path(image_id)
+        frame = self._at(self.image_path(image_id), self._steps[image_id], self._pauses_s[image_id])
+        return self._checked(frame, image_id, self._beside(image_id))
+
+    def _at(self, path: Path, step: int, pauses_s: float) -> Frame:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
         image, chroma = read_coloured_image(path)
-        return self._checked(Frame(image, 0, path=str(path), red_chroma=chroma), image_id)
+        timestamp_ns = self._time_ns(step) + round(1e9 * pauses_s)
+        return Frame(image, timestamp_ns, path=str(path), red_chroma=chroma)
+
+    def _time_ns(self, step: int) -> int:
+        return round(step * 1e9 / self.rate_hz)
+
+    def _beside(self, image_id: int) -> Frame | None:
+        """Of the images in its folder the earlier one; None without one, or if it is among the selected ones."""
+        step, drive = self._steps[image_id], self._drives[self.sequence(image_id).id]
+        steps = range(step - math.ceil(2 * EARLIER_S * self.rate_hz), step)
+        earlier = _earlier({each: self._time_ns(each) for each in steps if each in drive}, self._time_ns(step))
+        if earlier is None or self._labelled.get(drive[earlier]) in self.frame_ids:
+            return None
+        if not is_one_drive(drive[earlier], drive[step]):
+            return None
+        return self._at(drive[earlier], earlier, self._pauses_s[image_id])
+
+    def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
+        """By step, the images in the folder of a sequence; empty if nobody knows when these, or labelled ones, were."""
+        if self._video is not None:
+            return {}
+        paths = [self.folder / self._images[image_id].name for image_id in sequence.image_ids]
+        folder = paths[0].parent
+        with contextlib.suppress(OSError, ValueError):
+            drive = {step: folder / name for name, step in steps_in(folder).items()}
+            places = {path: step for step, path in drive.items()}
+            steps = [places.get(path, -1) for path in paths]
+            if steps[0] >= 0 and all(before < after for before, after in itertools.pairwise(steps)):
+                return drive
+        return {}
+
+    def _steps_of(self, sequence: Sequence) -> dict[int, int]:
+        """By id, how many frames each image comes after the first one of its drive, or of the sequence."""
+        if self._video is not None:
+            return {image_id: image_id for image_id in sequence.image_ids}
+        steps = {self._labelled.get(path): step for step, path in self._drives[sequence.id].items()}
+        return {image_id: steps.get(image_id, place) for place, image_id in enumerate(sequence.image_ids)}
 
     @property
     def coco_ids(self) -> dict[int, int]:
@@ -168,6 +221,19 @@ class LabelFile(LabelledSource):
         """By what it is, how much of the file and beside its images is not among the selected frames."""
         num_earlier = sum(map(self.has_earlier, self.frame_ids))
         return +Counter({**self.labels.lost, EARLIER_IMAGE: num_earlier})
+
+    @property
+    def notes(self) -> list[str]:
+        """As in `LabelledSource`."""
+        return [*lost_lines(self.labels.lost), *self.unknown_vehicles]
+
+    @property
+    def unknown_vehicles(self) -> list[str]:
+        """A line if there are lights of which nobody says of which vehicle they are."""
+        marks = [mark for image in self.labels.images for mark in image.marks if mark.kind == Kind.LIGHT]
+        num_alone = sum(mark.oid is None and mark.iid is None and mark.track is None for mark in marks)
+        words = "have neither oid nor iid: each is of a vehicle of its own, hidden if it is no lamp"
+        return [f"{num_alone} of {len(marks)} lights {words}"] if num_alone else []
 
     def annotations(self, image_id: int) -> tuple[Vehicle, ...]:
         """As in `LabelledSource`."""
@@ -201,7 +267,23 @@ class LabelFile(LabelledSource):
 
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
-        return self.sequence(image_id).image_ids.index(image_id) / self.rate_hz
+        first_id = self.sequence(image_id).image_ids[0]
+        steps = self._steps[image_id] - self._steps[first_id]
+        return steps / self.rate_hz + self._pauses_s[image_id]
+
+    @functools.cached_property
+    def _pauses_s(self) -> dict[int, float]:
+        """By image, the least time for which the camera was off before it: between photographs that are of no drive."""
+        found: dict[int, float] = {}
+        for sequence in self._sequences:
+            paths = [self.image_path(image_id) for image_id in sequence.image_ids]
+            are_there = [self._video is None and path.is_file() for path in paths]
+            pauses = [
+                MAX_STEP.total_seconds() if all(are_there[k : k + 2]) and not is_one_drive(*paths[k : k + 2]) else 0.0
+                for k in range(len(paths) - 1)
+            ]
+            found |= zip(sequence.image_ids, itertools.accumulate(pauses, initial=0.0), strict=True)
+        return found
 
     def _missing(self, number: int) -> str:
         return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
@@ -211,8 +293,8 @@ class LabelFile(LabelledSource):
             raise ValueError(f"{self.path}: image_id: expected an image of this file, got {image_id}")
         return self._images[image_id]
 
-    def _checked(self, frame: Frame, image_id: int) -> Frame:
-        """The frame of an image as this data set has it.
+    def _checked(self, frame: Frame, image_id: int, earlier: Frame | None = None) -> Frame:
+        """The frame of an image as this data set has it, with an earlier one that is as large.
 
         Raises:
             ValueError: If it does not have the size in the labels, or a point lies far outside of it.
@@ -224,9 +306,13 @@ class LabelFile(LabelledSource):
                 f"{frame.width_px}x{frame.height_px} px"
             )
         check_near(self._images[image_id], (frame.width_px, frame.height_px), self.path)
-        timestamp_ns = round(1e9 * self.time_s(image_id)) if self._video is None else frame.timestamp_ns
         directory = self._sequence_of[image_id].directory
-        named = dataclasses.replace(frame, timestamp_ns=timestamp_ns, frame=image_id, sequence=directory)
+        if frame.sequence:  # a later recording of the video, whose times begin anew
+            directory = f"{directory[:150]}_{frame.sequence.replace(' ', '_')}"
+        if earlier is not None:
+            is_alike = (earlier.image.shape, earlier.image.dtype) == (frame.image.shape, frame.image.dtype)
+            earlier = dataclasses.replace(earlier, sequence=directory) if is_alike else None
+        named = dataclasses.replace(frame, frame=image_id, sequence=directory, earlier=earlier)
         return full_scale(named, self.white_level)
 
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
@@ -249,7 +335,7 @@ class LabelFile(LabelledSource):
     def _ids(self, names: list[str]) -> list[int]:
         """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
 
-        In folders of folders it is the number that each is called by, where all are; else its number in the file.
+        In folders of folders it is the number that each is called by, where all are; else its place by its name.
 
         Raises:
             ValueError: If they are those of a video, and one is no frame's, or there twice.
@@ -266,7 +352,9 @@ class LabelFile(LabelledSource):
                 return [frames[name] for name in names]
         numbers = [number_in(name) for name in names]
         known = [number for number in numbers if number is not None]
-        return known if len(set(known)) == len(names) else list(range(len(names)))
+        order = sorted(names, key=lambda name: (natural_key(name), name))
+        places = {name: place for place, name in enumerate(order)}
+        return known if len(set(known)) == len(names) else [places[name] for name in names]
 
     def _named(self) -> tuple[ImageLabels, ...]:
         """The labels with the names of files; of a video, with the numbers of frames."""
@@ -283,10 +371,10 @@ class LabelFile(LabelledSource):
         return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
 
 
-def _earlier(frames: Iterable[Frame], now_ns: int) -> Frame | None:
-    """The frame whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
-    aged = {now_ns - frame.timestamp_ns: frame for frame in frames if now_ns - frame.timestamp_ns >= 5e8 * EARLIER_S}
-    return aged[min(aged, key=lambda age_ns: abs(age_ns - 1e9 * EARLIER_S))] if aged else None
+def _earlier(times_ns: Mapping[int, int], now_ns: int) -> int | None:
+    """The key of the time whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
+    ages_ns = {key: now_ns - time_ns for key, time_ns in times_ns.items() if now_ns - time_ns >= 5e8 * EARLIER_S}
+    return min(ages_ns, key=lambda key: abs(ages_ns[key] - 1e9 * EARLIER_S)) if ages_ns else None
 
 
 def _frame_number(name: str) -> int:
@@ -305,17 +393,21 @@ def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ..
     """The sequences: a folder each, called by its name, or by that of the file where the images lie in none."""
     ids: dict[str, list[int]] = {}
     for image_id, image in images.items():
-        folder = image.name.rpartition("/")[0].replace("/", "_")
-        ids.setdefault(folder or re.sub(r"[^\w.-]", "_", path.stem), []).append(image_id)
-    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in ids]
+        ids.setdefault(image.name.rpartition("/")[0], []).append(image_id)
+    folders: dict[str, str] = {}  # by the name of the sequence
+    for folder in sorted(ids):
+        name = (folder.replace("/", "_") or re.sub(r"[^\w.-]", "_", path.stem))[:200]
+        others = (f"{name[:190]}_{number}" for number in itertools.count(2))  # a/b and a_b are two drives
+        folders[next(each for each in (name, *itertools.islice(others, len(folders))) if each not in folders)] = folder
+    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in folders]
     numbers = {int(found[1]) for found in known if found}
     is_known = all(known) and len(numbers) == len(ids)
     return tuple(
         Sequence.plain(
             int(directory[1:]) if is_known else index,
-            directory=directory[:200],
-            image_ids=tuple(sorted(image_ids)),
-            num_images=len(image_ids),
+            directory=directory,
+            image_ids=tuple(sorted(ids[folder])),
+            num_images=len(ids[folder]),
         )
-        for index, (directory, image_ids) in enumerate(sorted(ids.items()), start=1)
+        for index, (directory, folder) in enumerate(sorted(folders.items()), start=1)
     )

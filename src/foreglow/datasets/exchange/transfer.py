@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shutil
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -97,6 +98,8 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
             lost[f"field {name}"] += 1
         categories = tuple(each for each in dataset.categories(image_id) if each != ImageCategory.NONE)
         name = f"{dataset.sequence(image_id).directory}/{record.file_name}"
+        if isinstance(dataset, LabelFile) and dataset.image_path(image_id).name == record.file_name:  # of no video
+            name = dataset.image_path(image_id).relative_to(dataset.folder).as_posix()
         size_px = record.width_px, record.height_px
         images.append(ImageLabels(name, size_px, marks_of(vehicles, doubtful), categories, image_id))
     if not images:
@@ -255,13 +258,17 @@ def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins:
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)
-            pairs = part.pairs() if isinstance(part, LabelFile) else ((frame, None) for frame in part)
-            images = (_labelled(frame, dataset, earlier) for frame, earlier in pairs)
-            num_images += len(writer.add_sequence(sequence.model_copy(update={"image_ids": ()}), images).image_ids)
+            recordings = itertools.groupby(part, key=lambda frame: frame.sequence)  # of a video perhaps several
+            for index, (directory, frames) in enumerate(recordings):
+                first = next(frames)
+                own = {"id": sequence.id + index, "directory": directory, "image_ids": ()}
+                own["start_time_ms"] = first.timestamp_ns / 1e6  # as a log of the drive has it
+                images = (_labelled(frame, dataset) for frame in itertools.chain([first], frames))
+                num_images += len(writer.add_sequence(sequence.model_copy(update=own), images).image_ids)
     return num_images
 
 
-def _labelled(frame: Frame, dataset: LabelledSource, earlier: Frame | None) -> LabelledImage:
+def _labelled(frame: Frame, dataset: LabelledSource) -> LabelledImage:
     categories = tuple(each for each in dataset.categories(frame.frame) if each != ImageCategory.NONE)
     vehicles, doubtful = dataset.annotations(frame.frame), dataset.doubtful(frame.frame)
-    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=earlier)
+    return LabelledImage(frame, vehicles, categories, doubtful=doubtful, earlier=frame.earlier)

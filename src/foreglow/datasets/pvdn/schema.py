@@ -7,6 +7,7 @@ published with it.
 
 from __future__ import annotations
 
+import unicodedata
 from enum import IntEnum, StrEnum
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -46,8 +47,13 @@ Pixel: TypeAlias = Annotated[int, Field(ge=-(2**20), le=2**20)]
 Milliseconds: TypeAlias = Annotated[int | float, Field(ge=-(2**53), le=2**53)]
 
 
+def is_plain(text: str) -> bool:
+    """Whether every format keeps the text: all of it can be printed, or is a space of any sort, without backslashes."""
+    return all(each != "\\" and (each.isprintable() or unicodedata.category(each) == "Zs") for each in text)
+
+
 def _plain_name(name: str) -> str:
-    if name in ("", ".", "..") or "/" in name or "\\" in name or not name.isprintable():
+    if name in ("", ".", "..") or "/" in name or not is_plain(name):
         raise ValueError(f"expected a plain name without a path, got {shortened(name)}")
     return name
 

@@ -149,7 +149,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
                 ]
             if "rate_hz" in self._info:
                 self._check_times(sequence, times_ns)
-            stored = self._stored(sequence, tuple(added))
+            stored = self._stored(sequence, times_ns)
         except BaseException:
             for path in written:
                 path.unlink(missing_ok=True)
@@ -239,11 +239,15 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             written.append(target)
             write_json(target, record)
 
-    def _stored(self, sequence: Sequence, image_ids: tuple[int, ...]) -> Sequence:
+    def _stored(self, sequence: Sequence, times_ns: Mapping[int, int]) -> Sequence:
+        image_ids = tuple(times_ns)
         if not image_ids:
             raise ValueError(f"{self._name}: sequence {sequence.directory}: expected at least one image")
         if not sequence.image_ids:
-            return sequence.model_copy(update={"image_ids": image_ids, "num_images": len(image_ids)})
+            lasts_ms = (max(times_ns.values()) - min(times_ns.values())) / 1e6
+            end_ms = sequence.end_time_ms or sequence.start_time_ms + lasts_ms
+            update = {"image_ids": image_ids, "num_images": len(image_ids), "end_time_ms": end_ms}
+            return sequence.model_copy(update=update)
         if sorted(sequence.image_ids) != sorted(image_ids):
             raise ValueError(
                 f"{self._name}: sequence {sequence.directory}: image_ids: expected those of the images, or none"

@@ -8,14 +8,14 @@ import re
 import threading
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from foreglow.config import read_toml, validated
 from foreglow.datasets.vehicle_logs.log_frames import CanKey, read_frames
-from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal
-from foreglow.datasets.vehicle_logs.quantities import FACTORS, factor_of, known_values
+from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal, Section
+from foreglow.datasets.vehicle_logs.quantities import FACTORS, factor_of, has_both_signs, known_values
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
 from foreglow.files import MIB, read_text
 from foreglow.street import StreetMessage
@@ -310,6 +310,7 @@ class CanDecoder:
                 _check_signal(signals[name_in_dbc], f"{dbc}: {message.name}: {name_in_dbc}")
             _check_lengths(message, str(dbc))
             _check_decoding(message, str(dbc))
+            _check_signs(section, signals, f"{mapping}: {name}", f"{dbc}: {message.name}")
             key = message.frame_id, message.is_extended_frame
             first, own = self._sections.setdefault(key, (message, []))
             if first.name != message.name:
@@ -382,6 +383,17 @@ def _check_signal(signal: Signal, origin: str) -> None:
         raise ValueError(f"{origin}: expected a range that rises, or [0|0] for none, got [{least:g}|{most:g}]")
 
 
+def _check_signs(section: Section, signals: Mapping[str, Signal], field: str, origin: str) -> None:
+    """ValueError if a number of either sign comes as a signal of one sign, without another that says which it has."""
+    for number, sign in section.SIGNS.items():
+        name = getattr(section, number)
+        if name is not None and getattr(section, sign) is None and not has_both_signs(signals[name]):
+            raise ValueError(
+                f"{field}.{sign}: expected the signal that has the sign of {name}, got none, and by {origin} {name} "
+                "is never below 0, or never above it: all would be of one sign"
+            )
+
+
 def _check_lengths(message: Message, origin: str) -> None:
     """ValueError if a signal does not fit into its message, which then could not be decoded."""
     from cantools.database.utils import start_bit
@@ -421,5 +433,5 @@ def _decoded(message: Message, data: bytes, where: str, quantities: frozenset[st
 
 
 def _number(values: dict[str, float], factor: float) -> float:
-    value = values["signal"] * factor
-    return -abs(value) if values.get("is_negative") else value
+    value = values["signal"]
+    return factor * (-abs(value) if values.get("is_negative") else value)

@@ -6,8 +6,10 @@ default may be left out. `street.toml` in this folder is the mapping of our own 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -15,13 +17,19 @@ from foreglow.config import FrozenModel
 from foreglow.config.fields import ONE_OF
 from foreglow.street import MAX_RADIUS_M, MIN_RADIUS_M, STRAIGHT_CODE
 
+MIN_FACTOR, MAX_FACTOR = 1e-9, 100.0
+"""In amount: units of speeds and yaw rates are at most some m/s and rad/s, raw codes tiny parts of them."""
+
 
 class Section(FrozenModel):
     """Fields that come in the same message.
 
     Attributes:
         message: Its name in the DBC.
+        SIGNS: Fields with signals of either sign, and the fields that may name a signal for the sign.
     """
+
+    SIGNS: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     message: str
 
@@ -39,6 +47,8 @@ class SlopeSignals(Section):
         slope_percent: Its slope.
         is_downhill: 1 where the slope is negative; None if it has a sign.
     """
+
+    SIGNS = MappingProxyType({"slope_percent": "is_downhill"})
 
     segment_id: str
     slope_percent: str
@@ -60,6 +70,10 @@ class SegmentSignals(Section):
         is_downhill: 1 where the slope is negative; None if it has a sign.
         is_probable: 1 where the segment is on the most probable path; other segments are ignored. None: all are on it.
     """
+
+    SIGNS = MappingProxyType(
+        {"start_curvature": "is_start_left", "end_curvature": "is_end_left", "slope_percent": "is_downhill"}
+    )
 
     segment_id: str
     parent_id: str
@@ -115,14 +129,16 @@ class CurvatureMeaning(FrozenModel):
         return self
 
     def per_m(self, value: float) -> float:
-        """The curvature, 1/m, that a signal's value means."""
+        """The curvature, 1/m, that a signal's value means; it keeps the value's sign."""
         if self.meaning == "per_m":
             return value
         if self.meaning == "radius_m":
             return 1.0 / value if value else 0.0
-        if value >= self.straight_code:
+        code = abs(value)
+        if code >= self.straight_code:
             return 0.0
-        return float((self.max_radius_m / self.min_radius_m) ** (-value / (self.straight_code - 1)) / self.min_radius_m)
+        ratio = self.max_radius_m / self.min_radius_m
+        return math.copysign(ratio ** (-code / (self.straight_code - 1)) / self.min_radius_m, value)
 
 
 class NumberSignal(Section):
@@ -130,9 +146,9 @@ class NumberSignal(Section):
 
     Attributes:
         signal: Name of its signal.
-        factor: From the signal's unit to ours, not 0: 0.277778 for km/h, 0.0174533 for degrees. None: that of the DBC's
-            unit.
-        is_negative: 1 where the number is negative; None if it has a sign.
+        factor: From the signal's unit to ours: 0.277778 for km/h, 0.0174533 for degrees; in amount within `MIN_FACTOR`
+            and `MAX_FACTOR`. None: that of the DBC's unit.
+        is_negative: 1 where the signal is negative; None if it has a sign.
     """
 
     signal: str
@@ -141,11 +157,17 @@ class NumberSignal(Section):
 
     @model_validator(mode="after")
     def _check(self) -> NumberSignal:
-        if self.factor == 0:
-            raise ValueError("factor: expected a number other than 0, which makes every value 0")
+        if self.factor is not None and not MIN_FACTOR <= abs(self.factor) <= MAX_FACTOR:
+            raise ValueError(f"factor: expected from {MIN_FACTOR:g} to {MAX_FACTOR:g} in amount, got {self.factor:g}")
         if self.is_negative == self.signal:
             raise ValueError(f"is_negative: expected another signal than {self.signal!r}, whose number it gives a sign")
         return self
+
+
+class SignedNumber(NumberSignal):
+    """A number of either sign."""
+
+    SIGNS = MappingProxyType({"signal": "is_negative"})
 
 
 class CanMapping(FrozenModel):
@@ -168,7 +190,7 @@ class CanMapping(FrozenModel):
     slope: SlopeSignals | None = None
     curvature: CurvatureMeaning = CurvatureMeaning()
     speed: NumberSignal | None = None
-    yaw_rate: NumberSignal | None = None
+    yaw_rate: SignedNumber | None = None
     production: NumberSignal | None = None
     bus: Annotated[str, Field(min_length=1)] | None = None
 

@@ -101,6 +101,19 @@ def is_in_range(signal: Signal, value: float) -> bool:
     return float(least) - slack <= value <= float(most) + slack
 
 
+def has_both_signs(signal: Signal) -> bool:
+    """Whether a signal may be below 0 as well as above, by its bits and by the DBC's range."""
+    if signal.is_float:
+        least, most = -math.inf, math.inf
+    else:
+        first = -(2 ** (signal.length - 1)) if signal.is_signed else 0
+        codes = first, first + 2**signal.length - 1
+        least, most = sorted(code * float(signal.scale) + float(signal.offset) for code in codes)
+    if signal.minimum is not None and signal.maximum is not None and signal.minimum != signal.maximum:
+        least, most = max(least, float(signal.minimum)), min(most, float(signal.maximum))
+    return least < 0 < most
+
+
 @lru_cache(maxsize=1024)  # by the object: a bus brings the same few messages again and again
 def unknown_codes(message: Message, quantities: Collection[str] = ()) -> dict[str, set[int]]:
     """By signal, the codes to which the DBC's value table gives a name that says that the value is not known.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets.image_bytes import is_damaged_mjpeg
-from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured
+from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured, red_chroma
 from foreglow.datasets.video.coded_units import has_forbidden_bytes, size_bytes_of
 from foreglow.datasets.video.containers.transport import Losses, with_losses
 from foreglow.datasets.video.h264_numbers import H264Numbers
@@ -241,12 +241,16 @@ def picture_chroma(picture: Any) -> Chroma | None:
     """As `images.red_chroma`, of a picture as it is shown; None for one without colour.
 
     Taken from the chroma as it was coded, whose matrix may be that of BT.709: what is red has up to a tenth less then.
+    Pictures that were coded as R, G and B have that of an image.
 
     Raises:
         ValueError: If the display matrix is more than quarter turns and mirroring; the message does not say where.
     """
     if len(picture.format.components) < 3:
         return None
+    if picture.format.is_rgb:
+        deep = max(component.bits for component in picture.format.components) > 8
+        return red_chroma(_upright(picture, picture.to_ndarray(format="rgb48le" if deep else "rgb24")))
     halved = picture if picture.format.name in ("yuv420p", "yuvj420p") else picture.reformat(format="yuv420p")
     size = (-(-picture.height // 2), -(-picture.width // 2))
     blue, red = (

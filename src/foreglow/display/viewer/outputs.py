@@ -92,18 +92,21 @@ class RrdFile:
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         self._path = path
-        self._written = AtomicFile(path)
         self._error: OSError | None = None
         self._stream = _stream()
-        with tempfile.TemporaryDirectory(prefix="foreglow_") as folder:
-            pipe = Path(folder) / "pipe"
-            os.mkfifo(pipe)
-            self._pipe = os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0)
-            with pipe.open("wb"):  # it has a writer until Rerun is one
-                os.set_blocking(self._pipe.fileno(), True)
-                self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
-                self._thread.start()
-                self._stream.save(pipe, default_blueprint=blueprint)
+        self._written = AtomicFile(path)
+        with contextlib.ExitStack() as discarding:
+            discarding.callback(self._written.discard)
+            with tempfile.TemporaryDirectory(prefix="foreglow_") as folder:
+                pipe = Path(folder) / "pipe"
+                os.mkfifo(pipe)
+                self._pipe = os.fdopen(os.open(pipe, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0)
+                with pipe.open("wb"):  # it has a writer until Rerun is one
+                    os.set_blocking(self._pipe.fileno(), True)
+                    self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
+                    self._thread.start()
+                    self._stream.save(pipe, default_blueprint=blueprint)
+            discarding.pop_all()
 
     def log_static(self, entities: Entities) -> None:
         """Takes what is valid at all times."""

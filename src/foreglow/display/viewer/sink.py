@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -26,6 +27,7 @@ from foreglow.display.viewer.entities import (
 from foreglow.display.viewer.outputs import Output
 from foreglow.rays import RayCaster
 from foreglow.runtime.health import Health
+from foreglow.runtime.run import KeepingSink
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamMode, Frame, FrameResult, Tracks
 
@@ -44,7 +46,7 @@ PER_SEQUENCE = ("camera", "map", "lamps", "plots", "states")
 """Entities that a new sequence knows nothing of."""
 
 
-class RerunSink:
+class RerunSink(KeepingSink):
     """Shows every frame and what the pipeline made of it, in a window, a file or both.
 
     Sequences follow each other as on a `TimeAxis`; each starts with nothing shown.
@@ -77,8 +79,14 @@ class RerunSink:
         self._slots = Slots()
         self._mode: BeamMode | None = None
         self._faults: dict[str, tuple[str, ...]] = {}
+        self._num_shown, self._has_failed = 0, False
         for output in outputs:
             output.log_static(fixed_entities())
+
+    @property
+    def num_kept(self) -> int:
+        """Frames that it has shown; none if a file failed, which then vanishes."""
+        return 0 if self._has_failed else self._num_shown
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Shows one frame.
@@ -111,6 +119,7 @@ class RerunSink:
             for name, lux in self._lux_of(frame).items():
                 entities.append((f"plots/lux/{rr.escape_entity_path_part(name)}", rr.Scalars(lux)))
         self._log(self._axis.time_ns(frame), frame.frame, entities)
+        self._num_shown += 1
 
     def write_health(self, health: Health) -> None:
         """Notes what is wrong, when that changes and its time is known.
@@ -128,8 +137,9 @@ class RerunSink:
         Raises:
             OSError: If a file cannot be written; the message names the path.
         """
-        for output in self._outputs:
-            output.close()
+        with self._noting_failure():
+            for output in self._outputs:
+                output.close()
 
     def discard(self) -> None:
         """Removes an incomplete recording; a window stays open."""
@@ -170,8 +180,17 @@ class RerunSink:
         return [log_entity(text, is_fault=bool(faults)), _state(origin, faults)]
 
     def _log(self, time_ns: int, number: int | None, entities: Sequence[Entity]) -> None:
-        for output in self._outputs:
-            output.log(time_ns, number, entities)
+        with self._noting_failure():
+            for output in self._outputs:
+                output.log(time_ns, number, entities)
+
+    @contextlib.contextmanager
+    def _noting_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:
+            self._has_failed = True
+            raise
 
 
 def _state(origin: str, faults: tuple[str, ...]) -> Entity:

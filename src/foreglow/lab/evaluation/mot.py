@@ -7,7 +7,8 @@
 
 Labels are points, and these measures want boxes. As in the paper's own annotations the box of a light is a proposal
 that contains its key point: here the smallest one. Lights in the same box are one object, with the number of the one
-that came first; a light that no proposal contains gets a square around it. A track in an image whose box holds no light
+that came first; a light that no proposal contains gets a square around it. Of lights with the same numbers in one image
+each is an object. A track in an image whose box holds no light
 but a doubtful one is left out, since nobody is to be blamed for it.
 """
 
@@ -17,6 +18,7 @@ import configparser
 import contextlib
 import io
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -173,12 +175,15 @@ def score_mot(folder: Path, name: str = "foreglow") -> MotScores:
 
 
 def _light_rows(dataset: LabelledSource, image_ids: Iterable[int], proposals: Predictions) -> Iterable[str]:
-    numbers: dict[tuple[int, int], int] = {}
+    numbers: dict[tuple[int, int, int], int] = {}
     for frame, image_id in enumerate(image_ids, start=1):
         objects: dict[tuple[float, ...], int] = {}
+        seen: Counter[tuple[int, int]] = Counter()
         for vehicle in dataset.annotations(image_id):
             for light in vehicle.instances:
-                number = numbers.setdefault((vehicle.oid, light.iid), len(numbers) + 1)
+                named = vehicle.oid, light.iid
+                number = numbers.setdefault((*named, seen[named]), len(numbers) + 1)
+                seen[named] += 1
                 box = _box_around(np.array(light.position_px, np.float64), proposals.boxes_xyxy_px[image_id])
                 objects[box] = min(number, objects.get(box, number))
         for box, number in objects.items():
@@ -218,6 +223,6 @@ def _extent(box: Iterable[float]) -> str:
 def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
     image = dataset.image(min(sequence.image_ids))
     return (
-        f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.rate_hz:g}\n"
+        f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.mean_rate_hz:g}\n"
         f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt=.png\n"
     )

@@ -189,6 +189,7 @@ def _unpacked(file: Mapping[str, Any], name: str, spec: InputSpec, digest: str) 
     sheet: Any = cv2.imdecode(arrays["crops"], cv2.IMREAD_GRAYSCALE)
     arrays["crops"] = _crops(sheet, len(arrays["labels"]))
     arrays["features"] = arrays["features"].astype(np.float32)
+    arrays["sequence_ids"] = arrays["sequence_ids"].astype(np.int64)  # 32 bits in what ships
     channels = [0, *([1] if spec.lag_s is not None else []), *([2] if spec.context is not None else [])]
     arrays["crops"] = np.ascontiguousarray(arrays["crops"][:, channels])
     arrays["features"] = arrays["features"][:, : spec.num_features]

@@ -31,7 +31,7 @@ from foreglow.lab.learning.kept_files import file_checksum, image_state
 from foreglow.lab.learning.samples import ARRAYS, Progress, SampleConfig, Samples, no_samples, samples_by_image
 from foreglow.whole_files import RemadeWarning, naming
 
-FORMAT = 4
+FORMAT = 5
 """Increased whenever the samples made from the same images and configuration change."""
 
 _DONE = "samples.json"

@@ -103,7 +103,7 @@ class Samples:
             plus 1 if its vehicle is hidden; -1 without light.
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels.
         image_ids: Shape (N,), int64, unique within a data set.
-        sequence_ids: Shape (N,), int32, unique within a data set.
+        sequence_ids: Shape (N,), int64, unique within a data set.
         sets: Shape (N,), int32: the boxes that a model reads together have the same number, and follow one another.
         digest: Of the data and the configuration that they were made from; empty where unknown.
 
@@ -118,7 +118,7 @@ class Samples:
     groups: NDArray[np.int8]
     boxes_xyxy_px: Boxes
     image_ids: NDArray[np.int64]
-    sequence_ids: NDArray[np.int32]
+    sequence_ids: NDArray[np.int64]
     sets: NDArray[np.int32]
     digest: str = ""
 
@@ -166,7 +166,7 @@ ARRAYS: dict[str, tuple[type[np.generic], tuple[int | None, ...]]] = {
     "groups": (np.int8, ()),
     "boxes_xyxy_px": (np.int32, (4,)),
     "image_ids": (np.int64, ()),
-    "sequence_ids": (np.int32, ()),
+    "sequence_ids": (np.int64, ()),
     "sets": (np.int32, ()),
 }
 assert set(ARRAYS) | {"digest"} == {field.name for field in dataclasses.fields(Samples)}
@@ -339,7 +339,7 @@ def _samples(
         groups=groups,
         boxes_xyxy_px=boxes_xyxy_px,
         image_ids=np.full(len(labels), frame.frame, np.int64),
-        sequence_ids=np.full(len(labels), sequence_id, np.int32),
+        sequence_ids=np.full(len(labels), sequence_id, np.int64),
         sets=sets,
     )
 

@@ -86,7 +86,7 @@ def key_moments(results: Sequence[FrameResult]) -> tuple[KeyMoment, ...]:
 def _page(run: RecordedRun) -> Page:
     page = Page(f"Run of {run.summary.source}")
     if not run.summary.is_complete:
-        page.text("Incomplete: the run was interrupted, or was made from one that was.")
+        page.text("Incomplete: the run was interrupted, or was made from a run or a recording that was.")
     page.table(_facts(run))
     page.section("Faults")
     _add_faults(page, run)
@@ -122,6 +122,8 @@ def _facts(run: RecordedRun) -> Table:
         ["light artifacts", DASH if summary.num_accepted is None else summary.num_accepted],
         ["plausible tracks", DASH if summary.num_tracks is None else summary.num_tracks],
     ]
+    if summary.source_lack is not None:
+        rows.append(["what the source lacks", summary.source_lack])
     if summary.num_lost_parts:
         rows.append(["lost parts of the source, of any number of frames", summary.num_lost_parts])
     if summary.beam is not None:

@@ -30,6 +30,8 @@ def open_drive(name: str, options: CameraOptions) -> LiveDrive:
         ValueError: If the file is broken or cannot be driven, or there is no such scenario or quality.
     """
     if name.endswith(".toml"):
+        if options.seed:
+            raise ValueError(f"{name}: expected no --seed beside it: a scene has one itself")
         return LiveDrive(read_drivable(Path(name)), options.quality)
     if "/" in name or exists(Path(name)):
         raise ValueError(f"{name}: expected a scene, a file whose name ends with .toml, or the name of a scenario")

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from foreglow.plugins import words_of
 from foreglow.runtime.health import Health, LiveSink
 from foreglow.runtime.live.worker import THREADS
+from foreglow.runtime.run import KeepingSink
 from foreglow.types import Frame, FrameResult
 from foreglow.whole_files import output_words
 
@@ -25,7 +26,6 @@ class Background:
 
     Attributes:
         sink: The sink.
-        num_lost: Frames that it did not receive, because it was too slow or had failed.
         error: Why it failed; None while it works.
     """
 
@@ -37,7 +37,8 @@ class Background:
             is_lossless: Whether `write` waits until there is room, for sources that wait, too.
         """
         self.sink = sink
-        self.num_lost = 0
+        self._num_given = self._num_refused = self._num_written = 0
+        self._has_ended = False
         self.error: BaseException | None = None
         self._is_lossless = is_lossless
         self._num_done = 0
@@ -57,22 +58,41 @@ class Background:
         """Whether it has failed, or has no room for another frame."""
         return self.error is not None or self._waiting.full()
 
+    @property
+    def num_lost(self) -> int:
+        """Frames that it was too slow for, or that came after it had failed; at the end all that it does not keep."""
+        if not self._has_ended:
+            return self._num_refused
+        num_kept = self.sink.num_kept if isinstance(self.sink, KeepingSink) else self._num_written
+        return self._num_given - num_kept
+
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Passes a frame on, or counts it as lost."""
-        if not self._put(lambda: self.sink.write(frame, result), is_waiting=self._is_lossless):
-            self.num_lost += 1
+        self._num_given += 1
+        if not self._put(lambda: self._write(frame, result), is_waiting=self._is_lossless):
+            self._num_refused += 1
 
     def write_health(self, health: Health) -> None:
         """Passes the health on, if there is room."""
         self._put(lambda: self.sink.write_health(health), is_waiting=False)
 
-    def close(self) -> None:
-        """Waits until everything is written and the sink is closed, unless it is stuck."""
+    def close(self, *, is_complete: bool = True) -> None:
+        """Waits until everything is written and the sink is closed, unless it is stuck.
+
+        Args:
+            is_complete: As in `KeepingSink`.
+        """
+        if isinstance(self.sink, KeepingSink):
+            self.sink.is_complete = is_complete
         self._finish(self.sink.close)
 
     def discard(self) -> None:
         """Ends the thread, and discards what the sink has written."""
         self._finish(self.sink.discard)
+
+    def _write(self, frame: Frame, result: FrameResult) -> None:
+        self.sink.write(frame, result)
+        self._num_written += 1
 
     def _finish(self, end: Callable[[], None]) -> None:
         self._end = end
@@ -86,6 +106,7 @@ class Background:
             self._thread.join(STUCK_S)
         if self._thread.is_alive():
             self.error = self.error or TimeoutError(f"it has been stuck for {STUCK_S:g} s")
+        self._has_ended = True
 
     def _put(self, call: Callable[[], None], *, is_waiting: bool) -> bool:
         if self.error is not None:

@@ -36,6 +36,9 @@ STREAM_SCHEMES = (
 MAX_DIGITS = 3
 """Of a camera's number."""
 
+GREY_16 = cv2.VideoWriter.fourcc(*"Y16 ")
+"""V4L2's name of grey with 16 bits, of which OpenCV would keep the upper 8 alone: of 10 or 12 bits, next to nothing."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraOptions:
@@ -134,6 +137,8 @@ class CaptureCamera(LiveCamera):
             if self._options.rate_hz is not None:
                 capture.set(cv2.CAP_PROP_FPS, self._options.rate_hz)
             capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # frames that wait in the driver are old
+            if self._backend == cv2.CAP_V4L2 and capture.get(cv2.CAP_PROP_FOURCC) == GREY_16:
+                capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)
             while True:
                 is_read, image = capture.read()
                 if not is_read:

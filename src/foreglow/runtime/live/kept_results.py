@@ -9,10 +9,11 @@ from foreglow.runs.folder import OutputFolder
 from foreglow.runs.summary_file import LiveSummary
 from foreglow.runs.tally import Tally
 from foreglow.runtime.health import Health
+from foreglow.runtime.run import KeepingSink
 from foreglow.types import Frame, FrameResult
 
 
-class KeptResults:
+class KeptResults(KeepingSink):
     """A live sink for the lines of a run's folder. After a write that failed they end with the frame before it.
 
     Attributes:
@@ -30,6 +31,11 @@ class KeptResults:
         self._tally = Tally()
         self._has_failed = False
         self.is_whole = False
+
+    @property
+    def num_kept(self) -> int:
+        """Frames whose lines are whole in each file."""
+        return self._tally.num_frames
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Adds a line to each file.
@@ -81,9 +87,11 @@ class KeptResults:
             run.skipped,
             config,
             is_complete=False,
+            is_interrupted=run.is_interrupted,
             dispatch=run.dispatch,
             num_lost_parts=run.num_lost_parts,
             topic=run.topic,
             on_error=run.on_error,
+            source_lack=run.source_lack,
         )
         return dataclasses.replace(live, run=kept)

@@ -103,6 +103,7 @@ class LiveLoop:
         outputs: Sequence[BeamOutput] = (),
         sinks: Sequence[LiveSink] = (),
         beat: Callable[[], None] = lambda: None,
+        at_begin: Callable[[], None] = lambda: None,
         at_end: Callable[[], None] = lambda: None,
         give_up_s: float | None = None,
     ) -> None:
@@ -115,6 +116,7 @@ class LiveLoop:
             outputs: Where commands are sent.
             sinks: Where results and health reports are written.
             beat: Called several times a frame period while the loop runs: for an external watchdog.
+            at_begin: Called when a signal ends the loop in order from now on; what is raised before discards the sinks.
             at_end: Called before threads are ended and sinks completed, which may take long and is without beats.
             give_up_s: End after so long without a frame; None waits for ever.
 
@@ -123,7 +125,7 @@ class LiveLoop:
         """
         self._source, self._config, self._proposals = source, config.live, config.proposals
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
-        self._at_end, self._give_up_s = at_end, give_up_s
+        self._at_begin, self._at_end, self._give_up_s = at_begin, at_end, give_up_s
         self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
         self._wait_s = self._period_s / (1.0 if source.is_lossless else source.speed)
         # With a lossless source, which waits for the computation, a slow machine is no fault.
@@ -151,17 +153,46 @@ class LiveLoop:
         Raises:
             LiveEndedError: If `MAX_HUNG` pipelines hang, none can be made for `rebuild_s`, no frame came for
                 `give_up_s`, or a source that is no camera cannot be read any further; it has the summary.
-            ValueError: If a source has frames, and none of them can be read, or the first one is too small for the
-                configured region.
+            ValueError: If the pipeline commands no beam; if a source has frames, and none of them can be read, or the
+                first one is too small for the configured region.
             Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
         """
         self._limit = limit
-        try:
-            pipeline = self._make_pipeline()
-        except BaseException:
-            for sink in self._sinks:
-                sink.discard()
-            raise
+        with contextlib.ExitStack() as ending:
+            try:
+                pipeline, reader = self._start()
+                interrupt = ending.enter_context(InterruptFlag(PATIENCE_S))
+                self._at_begin()
+            except BaseException:
+                for sink in self._sinks:
+                    sink.discard()
+                raise
+            ending.enter_context(quick_switching())
+            ending.enter_context(settled_memory())
+            is_interrupted = True
+            try:
+                while not (interrupt.is_set or self._is_over or self._end):
+                    self._supervise()
+                    self._is_stopped.wait(min(self._wait_s / 4, MAX_PAUSE_S))
+                is_interrupted = interrupt.is_set
+            finally:
+                self._stop(reader, is_interrupted=is_interrupted)
+            if self._error is not None and not (self._tally.num_frames and isinstance(self._error, READ_ERRORS)):
+                raise self._error
+            if not self._mailbox.num_put:
+                check_readable(self._source.name, self._tally.num_frames, self._source.skipped)
+            summary = self._summary(pipeline, is_interrupted=is_interrupted)
+        if self._error is not None:
+            raise LiveEndedError(words_of(self._error), summary) from self._error
+        if self._end:
+            raise LiveEndedError(self._end, summary)
+        return summary
+
+    def _start(self) -> tuple[LivePipeline, threading.Thread]:
+        """Makes the pipeline, and starts the threads, of which it returns the one that reads."""
+        pipeline = self._make_pipeline()
+        if not pipeline.config.commands:
+            raise ValueError("make_pipeline: expected one that commands a beam, as of `config.commanding()`")
         self._watch = FrameWatch(
             self._config,
             self._period_s,
@@ -175,32 +206,16 @@ class LiveLoop:
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
         reader.start()
         self._watched_s = self._woken_s = time.monotonic()
-        with quick_switching(), settled_memory(), InterruptFlag(PATIENCE_S) as interrupt:
-            try:
-                while not (interrupt.is_set or self._is_over or self._end):
-                    self._supervise()
-                    self._is_stopped.wait(min(self._wait_s / 4, MAX_PAUSE_S))
-                is_complete = not (interrupt.is_set or self._end)
-            finally:
-                self._stop(reader)
-            if self._error is not None and not (self._tally.num_frames and isinstance(self._error, READ_ERRORS)):
-                raise self._error
-            if not self._mailbox.num_put:
-                check_readable(self._source.name, self._tally.num_frames, self._source.skipped)
-            summary = self._summary(pipeline, is_complete=is_complete and self._error is None)
-        if self._error is not None:
-            raise LiveEndedError(words_of(self._error), summary) from self._error
-        if self._end:
-            raise LiveEndedError(self._end, summary)
-        return summary
+        return pipeline, reader
 
-    def _summary(self, pipeline: LivePipeline, *, is_complete: bool) -> LiveSummary:
+    def _summary(self, pipeline: LivePipeline, *, is_interrupted: bool) -> LiveSummary:
         replay = self._source if isinstance(self._source, Paced) else None
         run = self._tally.summary(
             self._source.name,
             self._source.skipped,
             pipeline.config,
-            is_complete=is_complete,
+            is_complete=not (is_interrupted or self._end or self._error is not None),
+            is_interrupted=is_interrupted,
             dispatch=pipeline.dispatch,
             num_lost_parts=len(replay.lost_parts) if replay is not None else 0,
             **(replay.how_read if replay is not None else {}),
@@ -226,8 +241,11 @@ class LiveLoop:
         num_left = self._mailbox.num_put - self._mailbox.num_dropped - self._num_taken
         return self._is_enough or (self._has_ended.is_set() and num_left <= 0)
 
-    def _stop(self, reader: threading.Thread) -> None:
-        """Ends the threads, completes the sinks, and leaves the lamps in low beam."""
+    def _stop(self, reader: threading.Thread, *, is_interrupted: bool) -> None:
+        """Ends the threads, completes the sinks, and leaves the lamps in low beam.
+
+        A camera has no end, so that a recording of one that is interrupted lacks nothing.
+        """
         self._at_end()
         self._is_stopped.set()
         self._mailbox.close()
@@ -240,8 +258,10 @@ class LiveLoop:
         errors = [error for outlet in self._outlets if (error := outlet.close())]
         if errors:
             self._note_bus(errors)
+        lack = self._source.how_read["source_lack"] if isinstance(self._source, Paced) else None
+        is_cut = bool(self._end) or self._error is not None or (is_interrupted and not self._source.is_endless)
         for sink in self._sinks:
-            sink.close()
+            sink.close(is_complete=not is_cut and lack is None)
 
     def _read(self) -> None:
         """Reads frames until there are no more; runs in the reading thread."""

@@ -104,6 +104,11 @@ class Paced:
             self.max_silence_s = START_S
 
     @property
+    def source(self) -> FrameSource:
+        """The replayed source."""
+        return self._source
+
+    @property
     def skipped(self) -> Sequence[str]:
         """The lines of the replayed source."""
         return self._source.skipped

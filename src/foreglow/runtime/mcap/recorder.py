@@ -34,6 +34,7 @@ from foreglow.runtime.mcap.channels import (
 )
 from foreglow.runtime.mcap.drawing import boxes_message, calibration_message, scene_message, transform_message
 from foreglow.runtime.mcap.recording_file import RecordingFile
+from foreglow.runtime.run import KeepingSink, discarding
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamMode, Frame, FrameResult, Image
 
@@ -41,7 +42,7 @@ MAX_STAMP_NS = (1 << 32) * 1_000_000_000
 """The seconds of Foxglove's timestamps have 32 bits."""
 
 
-class McapRecorder:
+class McapRecorder(KeepingSink):
     """Records every frame without loss, with its result, and the health; `docs/recordings.md` describes the topics.
 
     While it is written, the file is called `FILE.mcap.partial`; `close` renames it. If the process is killed, the file
@@ -65,7 +66,12 @@ class McapRecorder:
             ValueError: If the path does not end in `.mcap`, or another run is recording into it.
         """
         self._file = RecordingFile(path, config, source_name)
-        context = self._file.context
+        with discarding([self]):
+            self._make_channels(self._file.context)
+        self._axis = TimeAxis()
+        self._faults: dict[str, tuple[str, ...]] = {}
+
+    def _make_channels(self, context: foxglove.Context) -> None:
         # The image comes first: readers take the first image topic.
         self._image = typed.RawImageChannel(IMAGE_TOPIC, context=context)
         self._calibration = typed.CameraCalibrationChannel(CALIBRATION_TOPIC, context=context)
@@ -76,8 +82,11 @@ class McapRecorder:
         self._frame = _json_channel(FRAME_TOPIC, FRAME_SCHEMA, context)
         self._result = _json_channel(RESULT_TOPIC, RESULT_SCHEMA, context)
         self._health = _json_channel(HEALTH_TOPIC, HEALTH_SCHEMA, context)
-        self._axis = TimeAxis()
-        self._faults: dict[str, tuple[str, ...]] = {}
+
+    @property
+    def num_kept(self) -> int:
+        """Frames that are on the disk."""
+        return self._file.num_kept
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Adds a frame.
@@ -95,10 +104,11 @@ class McapRecorder:
             self._transform.log(transform_message(frame.camera, stamp), log_time=time_ns)
         self._boxes.log(boxes_message(result, stamp), log_time=time_ns)
         self._scene.log(scene_message(frame, result, stamp), log_time=time_ns)
-        self._result.log(_json({**frame_to_line(frame, result), **frame_to_times(frame, result)}), log_time=time_ns)
+        record = _json({**frame_to_line(frame, result), **frame_to_times(frame, result)})
+        self._result.log(record, log_time=time_ns)
         if result.beam is not None:
             self._note_faults("low beam", result.beam.faults, time_ns)
-        self._file.wrote(time_ns)
+        self._file.wrote(time_ns, frame.image.nbytes + len(record))
 
     def write_health(self, health: Health) -> None:
         """Adds a health report that has a time, and writes the chunk.
@@ -124,7 +134,7 @@ class McapRecorder:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
-        self._file.close()
+        self._file.close(is_complete=self.is_complete)
 
     def discard(self) -> None:
         """Deletes what was written, unless it was completed before."""

@@ -13,10 +13,11 @@ import foxglove
 from foxglove.mcap import MCAPWriteOptions
 
 from foreglow.config import PipelineConfig, config_to_toml
+from foreglow.datasets.bags.mcap_file import END_METADATA_NAME, IS_COMPLETE
 from foreglow.files import path_in_unicode
 from foreglow.folder_lock import lock
 from foreglow.runs.origin import full_name
-from foreglow.whole_files import check_replaceable, numbered, partial_path, put, replaces_only
+from foreglow.whole_files import check_replaceable, numbered, partial_path, put, replaces_only, undisturbed
 
 
 class GrowingFile:
@@ -26,6 +27,7 @@ class GrowingFile:
     inside the writer, whose messages would not name the path; the caller checks `error`.
 
     Attributes:
+        num_bytes: Length of what was written.
         error: The first error, with the path; None if there was none.
     """
 
@@ -45,7 +47,7 @@ class GrowingFile:
             self._file = self._opened(path)
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(name)) from error
-        self._end = 0
+        self.num_bytes = 0
         self.error: OSError | None = None
 
     def _opened(self, path: Path) -> FileIO:
@@ -69,18 +71,18 @@ class GrowingFile:
                 rest = memoryview(data)
                 while rest:
                     rest = rest[self._file.write(rest) :]
-                self._end += len(data)
+                self.num_bytes += len(data)
             except OSError as error:
                 self.error = OSError(error.errno or errno.EIO, error.strerror, str(self._name))
                 with contextlib.suppress(OSError):
-                    self._file.truncate(self._end)
+                    self._file.truncate(self.num_bytes)
         return len(data)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """The position of the end; seeking to anywhere else is an error."""
-        if (offset, whence) not in ((0, os.SEEK_CUR), (self._end, os.SEEK_SET)):
+        if (offset, whence) not in ((0, os.SEEK_CUR), (self.num_bytes, os.SEEK_SET)):
             raise OSError(errno.ESPIPE, "expected to write at the end alone", str(self._name))
-        return self._end
+        return self.num_bytes
 
     def flush(self) -> None:
         """Does nothing, as nothing is buffered."""
@@ -93,11 +95,14 @@ class GrowingFile:
 
 SUFFIX = ".mcap"
 
+METADATA_NAME = "foreglow"
+"""Name of the metadata record at the beginning, with version, source and configuration."""
+
 CHUNK_NS = 500_000_000
 """Longest time span of a chunk: one is written twice a second."""
 
 CHUNK_BYTES = 8 << 20
-"""Largest chunk before compression."""
+"""A chunk that has so much before compression is written: no frame is in two chunks."""
 
 COMPRESSION_LEVEL = 1
 """zstd's level; many times faster than 18 images of 1280x960 px a second need."""
@@ -112,6 +117,7 @@ class RecordingFile:
     Attributes:
         path: The file's final name.
         context: Channels made with it log to the file.
+        num_kept: Frames that are on the disk.
     """
 
     def __init__(self, path: Path, config: PipelineConfig | None, source_name: str, profile: str = "") -> None:
@@ -133,33 +139,46 @@ class RecordingFile:
         check_replaceable(path)
         self.path, self._partial = path, partial_path(path)
         replaces_only(path)
-        self._file = GrowingFile(self._partial, path)
-        self.context = foxglove.Context()  # kept: its channels live as long as it does
-        self._writer = foxglove.open_mcap(
-            self._file,
-            context=self.context,
-            writer_options=MCAPWriteOptions(
-                profile=profile,
-                chunk_size=CHUNK_BYTES,
-                compression_level=COMPRESSION_LEVEL,
-                compression_threads=0,
-                disable_seeking=True,  # a chunk is written whole
-            ),
-        )
-        texts = {"version": metadata.version("foreglow"), "source": path_in_unicode(full_name(source_name))}
-        self._writer.write_metadata("foreglow", texts | ({} if config is None else {"config": config_to_toml(config)}))
+        self.num_kept = self._num_frames = self._chunk_bytes = 0
         self._chunk_start_ns: int | None = None
         self._is_open, self._is_complete = True, False
+        texts = {"version": metadata.version("foreglow"), "source": path_in_unicode(full_name(source_name))}
+        texts |= {} if config is None else {"config": config_to_toml(config)}
+        self.context = foxglove.Context()  # kept: its channels live as long as it does
+        self._file = GrowingFile(self._partial, path)
+        try:
+            self._writer = foxglove.open_mcap(
+                self._file,
+                context=self.context,
+                writer_options=MCAPWriteOptions(
+                    profile=profile,
+                    chunk_size=None,
+                    compression_level=COMPRESSION_LEVEL,
+                    compression_threads=0,
+                    disable_seeking=True,  # a chunk is written whole
+                ),
+            )
+            self._writer.write_metadata(METADATA_NAME, texts)
+        except BaseException:
+            self._file.close()
+            self._remove()
+            raise
 
-    def wrote(self, time_ns: int) -> None:
-        """Ends the chunk if the frame just written, at `time_ns`, is `CHUNK_NS` after its first one.
+    def wrote(self, time_ns: int, num_bytes: int) -> None:
+        """Counts the frame just written, and ends the chunk if it is long or large enough.
+
+        Args:
+            time_ns: The frame's time.
+            num_bytes: About how large it is.
 
         Raises:
             OSError: If the disk is full; the message names the path.
         """
+        self._num_frames += 1
+        self._chunk_bytes += num_bytes
         if self._chunk_start_ns is None:
             self._chunk_start_ns = time_ns
-        elif not 0 <= time_ns - self._chunk_start_ns < CHUNK_NS:
+        if self._chunk_bytes >= CHUNK_BYTES or not 0 <= time_ns - self._chunk_start_ns < CHUNK_NS:
             self.flush()
         self._check()
 
@@ -169,12 +188,14 @@ class RecordingFile:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
-        self._writer.flush()
-        self._chunk_start_ns = None
+        self._end_chunk()
         self._check()
 
-    def close(self) -> None:
+    def close(self, *, is_complete: bool = True) -> None:
         """Completes and renames the file; if a write failed before, it stays `.partial`.
+
+        Args:
+            is_complete: Whether all frames of the source are in it, which the file says.
 
         Raises:
             OSError: If the disk is full, or somebody has written another file there meanwhile, which stays as it is;
@@ -183,7 +204,8 @@ class RecordingFile:
         if not self._is_open:
             return
         had_failed = self._file.error is not None
-        self._finish()
+        self._end_chunk()
+        self._finish(is_complete=is_complete)
         if not had_failed:
             self._check()
             self._is_complete = True
@@ -194,15 +216,28 @@ class RecordingFile:
         if self._is_complete:
             return
         if self._is_open:
-            self._finish()
+            self._finish(is_complete=False)
+        self._remove()
+        self._is_complete, self.num_kept = True, 0
+
+    def _end_chunk(self) -> None:
+        num_bytes = self._file.num_bytes
+        with undisturbed():  # in a callback of the writer, the error of a signal would be lost
+            self._writer.flush()
+        if self._file.num_bytes > num_bytes:  # the chunk is whole, even if its index is not
+            self.num_kept = self._num_frames
+        self._chunk_start_ns, self._chunk_bytes = None, 0
+
+    def _finish(self, *, is_complete: bool) -> None:
+        self._is_open = False
+        with undisturbed():
+            self._writer.write_metadata(END_METADATA_NAME, {IS_COMPLETE: str(is_complete).lower()})
+            self._writer.close()
+            self._file.close()
+
+    def _remove(self) -> None:
         with contextlib.suppress(OSError):
             self._partial.unlink(missing_ok=True)
-        self._is_complete = True
-
-    def _finish(self) -> None:
-        self._is_open = False
-        self._writer.close()
-        self._file.close()
 
     def _check(self) -> None:
         if self._file.error is not None:

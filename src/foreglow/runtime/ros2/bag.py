@@ -18,6 +18,7 @@ from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.results import beam_message, detections_message, proposals_message, tracks_message
 from foreglow.runtime.ros2.source import FRAME_ID, Due, FramePublisher
 from foreglow.runtime.ros2.standard import installed_types, standard_messages
+from foreglow.runtime.run import KeepingSink, discarding
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import Frame, FrameResult
 
@@ -28,7 +29,7 @@ _BASIC = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "flo
 """Names of IDL, in which rclpy describes messages, and of `.msg` files; all others are the same."""
 
 
-class BagRecorder:
+class BagRecorder(KeepingSink):
     """Records all topics of the network for every frame, as nodes would have published them.
 
     The file is `.partial` until it is complete, as every recording.
@@ -46,14 +47,20 @@ class BagRecorder:
             OSError: If it cannot be created; the message names the path.
             ValueError: If the path does not end in `.mcap`, or another run is recording into it.
         """
-        self._file = RecordingFile(path, config, source_name, profile="ros2")
         self._standard = installed_types()
-        self._channels = {
-            topic: _channel(topic, kind, self._file.context)
-            for topic, kind in {topics.IMAGE: topics.TYPES[topics.IMAGE], **topics.TYPES, **self._standard}.items()
-            if topic != topics.TIMING
-        }
         self._axis = TimeAxis()
+        self._file = RecordingFile(path, config, source_name, profile="ros2")
+        with discarding([self]):
+            self._channels = {
+                topic: _channel(topic, kind, self._file.context)
+                for topic, kind in {topics.IMAGE: topics.TYPES[topics.IMAGE], **topics.TYPES, **self._standard}.items()
+                if topic != topics.TIMING
+            }
+
+    @property
+    def num_kept(self) -> int:
+        """Frames that are on the disk."""
+        return self._file.num_kept
 
     def write(self, frame: Frame, result: FrameResult) -> None:
         """Adds a frame.
@@ -66,9 +73,12 @@ class BagRecorder:
         if not 0 <= time_ns < MAX_STAMP_NS:
             raise ValueError(f"{self._file.path}: time: expected one from 0 to 2^31 s, got {time_ns / 1e9:.3f} s")
         header = Header(time_ns, frame.sequence or FRAME_ID)
+        num_bytes = 0
         for topic, message in (*FramePublisher.messages(Due(frame, header)), *self._results(header, frame, result)):
-            self._channels[topic].log(serialize_message(message), log_time=time_ns)
-        self._file.wrote(time_ns)
+            data = serialize_message(message)
+            self._channels[topic].log(data, log_time=time_ns)
+            num_bytes += len(data)
+        self._file.wrote(time_ns, num_bytes)
 
     def close(self) -> None:
         """Completes and renames the file; if a write failed before, it stays `.partial`.
@@ -76,7 +86,7 @@ class BagRecorder:
         Raises:
             OSError: If the disk is full; the message names the path.
         """
-        self._file.close()
+        self._file.close(is_complete=self.is_complete)
 
     def discard(self) -> None:
         """Deletes what was written, unless it was completed before."""

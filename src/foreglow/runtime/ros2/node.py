@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -23,6 +24,7 @@ from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.header import Header, header_message, read_header
 from foreglow.runtime.ros2.join import Join, Joined
 from foreglow.runtime.ros2.results import timing_message
+from foreglow.runtime.ros2.supervisor import HangWatch
 from foreglow.stopwatch import Stopwatch
 
 Inputs = TypeVar("Inputs")
@@ -154,6 +156,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self._join = Join(exact, sampled, fast=topics.FAST, patience_ns=patience_ns, clock_ns=self.clock_ns)
         self._sequence: str | None = None
         self._has_failed = False
+        self._stopwatch = Stopwatch()
         self._reported: tuple[int, tuple[str, ...]] = (0, ())
         self._exact = exact
         self._subscribed: dict[str, tuple[str, bool]] = {}  # resolved topics: type, and whether it is to be reliable
@@ -209,11 +212,17 @@ class FrameNode(ABC, Generic[Inputs]):
         only = self.ros.resolve_topic_name(self._exact[0]) if len(self._exact) == 1 else ""
         return self._join.num_dropped + self._receiver.num_missed[only]
 
-    def spin(self, should_stop: Callable[[], bool]) -> None:
-        """Works until `should_stop` says so, or ROS is shut down."""
+    @property
+    def stage(self) -> str:
+        """The part of a frame's work that is under way."""
+        return self._stopwatch.part or "between the stages"
+
+    def spin(self, should_stop: Callable[[], bool], limit_s: float = math.inf) -> None:
+        """Works until `should_stop` says so, or ROS is shut down; ends the process where a frame takes `limit_s`."""
         try:
-            with settled_memory():
+            with settled_memory(), HangWatch(limit_s, lambda: f"{self.name}: {self.stage}") as watch:
                 while rclpy.ok() and not should_stop():
+                    watch.begin()
                     self.spin_once()
         finally:
             self.close()
@@ -283,6 +292,7 @@ class FrameNode(ABC, Generic[Inputs]):
         begun_ns = time.monotonic_ns()
         since_exposure_ms = (self.clock_ns() - header.timestamp_ns) / 1e6
         stopwatch, fault = Stopwatch(), str(LiveFault.STAGE_FAILED)
+        self._stopwatch = stopwatch
         try:
             if header.sequence != self._sequence:
                 self.reset()

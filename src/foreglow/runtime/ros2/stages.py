@@ -291,6 +291,11 @@ class PipelineNode(CommandingNode[Frame]):
         self._ranges = self.publisher(topics.RANGES)
         self._tracks = self.publisher(topics.TRACKS)
 
+    @property
+    def stage(self) -> str:
+        """As of every node, the pipeline's own stages included."""
+        return self._pipeline.stage or super().stage
+
     def reset(self) -> None:
         """Forgets earlier frames."""
         self._pipeline.reset()

@@ -1,15 +1,20 @@
-"""Starts the nodes as processes, and restarts those that die."""
+"""Starts the nodes as processes, restarts those that die, and has one die that hangs."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import Self
 
+from foreglow.runtime.live.faults import LiveFault
+from foreglow.runtime.live.loop import ASLEEP_S
 from foreglow.runtime.ros2.environment import NUM_PARTICIPANTS, PARTICIPANT
 
 PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0)
@@ -20,8 +25,51 @@ END_S = 5.0
 """A process that has not ended this long after it was asked to is killed."""
 BAD_INPUT = 2
 """Exit code of a command whose input or configuration cannot be used."""
+HUNG = 75
+"""Exit code of a node in which something hangs: EX_TEMPFAIL of sysexits.h, as a new process is all that helps."""
+LOOK_S = 0.05
+"""Between two looks whether something hangs."""
 
 _starts = itertools.count(os.getpid())
+
+
+class HangWatch:
+    """While entered, a thread ends this process with `HUNG` when its work hangs: whoever started it starts it again.
+
+    Time in which the whole process was stopped does not count. What keeps all other Python threads from running, as a
+    foreign extension may, hides that it hangs.
+    """
+
+    def __init__(self, limit_s: float, work: Callable[[], str]) -> None:
+        """A watch for work of which each round takes at most `limit_s`; `work` says what is under way."""
+        self._limit_s, self._work = limit_s, work
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="hang watch", daemon=True)
+
+    def __enter__(self) -> Self:
+        self.begin()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+
+    def begin(self) -> None:
+        """A new round of the work begins."""
+        self._begun_s = time.monotonic()
+
+    def _look(self) -> None:
+        woken_s = looked_s = time.monotonic()
+        while not self._is_over.wait(LOOK_S):
+            now_s = time.monotonic()
+            if now_s - looked_s > LOOK_S + ASLEEP_S:
+                woken_s = now_s
+            looked_s = now_s
+            if now_s - max(self._begun_s, woken_s) > self._limit_s:
+                with contextlib.suppress(OSError):  # whoever read it is gone
+                    os.write(2, f"foreglow: {LiveFault.STAGE_HANGS}: {self._work()}; start again\n".encode())
+                os._exit(HUNG)
 
 
 class Process:

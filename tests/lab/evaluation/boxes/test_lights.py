@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from foreglow.datasets import PVDN, Selection
-from foreglow.lab.evaluation.boxes.lights import Light, empty_images, read_lights
+from foreglow.lab.evaluation.boxes.lights import Light, empty_images, read_lights, unsaid
 from foreglow.lab.simulation.writing.dataset import DatasetConfig, simulate_dataset
 from tests.datasets.tiny_pvdn import edit, make_pvdn
 from tests.lab.simulation.stub_drive import drive, scene
@@ -99,3 +99,28 @@ def test_truth_that_ends_before_the_labels(tmp_path: Path) -> None:
     words = rf"frames\.jsonl: expected a line about image {9999 + len(lines)}, got {len(lines) - 1} from image 10000 on"
     with pytest.raises(ValueError, match=words):
         read_lights(PVDN(split))
+
+
+@pytest.mark.parametrize(
+    ("lights", "said"),
+    [
+        ((), []),
+        (((1, 5, True),), []),
+        (((1, 5, False),), ["no light is marked as direct"]),
+        (((1, 5, True), (2, 5, False)), []),
+        (((1, 5, True), (1, 6, False), (2, 7, False)), ["no vehicle has light in two images"]),
+        (((1, 5, False), (2, 6, False)), ["no light is marked as direct", "no vehicle has light in two images"]),
+        (((1, 5, True), (11, 6, True)), []),
+    ],
+)
+def test_what_labels_do_not_say(lights: tuple[tuple[int, int, bool], ...], said: list[str]) -> None:
+    """Image, vehicle and whether it is a lamp; images from 10 on are of another sequence."""
+    found: dict[int, tuple[Light, ...]] = dict.fromkeys((1, 2, 3, 11), ())
+    for image_id, vehicle_id, is_direct in lights:
+        light = Light(
+            image_id, image_id // 10, vehicle_id, (5.0, 5.0), "lamp", is_direct, is_rear=False, is_hidden=True
+        )
+        found[image_id] += (light,)
+    lines = unsaid(found)
+    assert len(lines) == len(said)
+    assert all(line.startswith(words) for line, words in zip(lines, said, strict=True))

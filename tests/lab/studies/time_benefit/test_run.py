@@ -169,10 +169,26 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     assert (single.vehicle, single.scenario, single.production_s) == ("vehicle", "", 2 / 18)
     false = results.method("tracker, ours").false
     assert false is not None
+    assert not results.notes
     assert math.isnan(false.per_km)
     record = to_json(results)
     assert record["methods"][3]["false"]["per_km"] is None
     write_report(results, tmp_path / "report")
+
+
+@pytest.mark.usefixtures("undrawn", "few_rules")
+def test_labels_without_numbers_of_vehicles_are_named(tmp_path: Path) -> None:
+    """A vehicle that is in one image only is missed by every tracker."""
+    root = make_pvdn(tmp_path)
+    lamp = {"pos": [20, 30], "iid": 0, "direct": True}
+    for image_id in (11, 12, 13):
+        vehicle = {"pos": [20, 30], "oid": image_id, "direct": True, "instances": [lamp]}
+        write(root / f"labels/keypoints/{image_id:06d}.json", {"image_id": image_id, "annotations": [vehicle]})
+    results = run_experiment([PVDN(root)], preset("foreglow"))
+    (line,) = results.notes
+    assert line.startswith(f"{root}: no vehicle has light in two images of its sequence")
+    assert line in summary_lines(results)
+    assert line in write_report(results, tmp_path / "report").read_text()
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from foreglow.lab.evaluation.boxes.breakdown import (
 )
 from foreglow.lab.evaluation.boxes.curves import QualityCurve, RecallCurve, quality_curve
 from foreglow.lab.evaluation.boxes.directness import Directness, KindConfusion, directness_of_boxes, kind_confusion
+from foreglow.lab.evaluation.boxes.lights import unsaid
 from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
 from foreglow.lab.evaluation.boxes.whose_light import WhoseLight, whose_light
@@ -71,7 +72,7 @@ class Examination:
         num_outside: Lights that lie outside their image.
         num_twins: Lights that the labels have several times, which count as often.
         num_beyond: Boxes of a file that lie wholly beyond their image.
-        notes: What is to be said of the labels that predictions from a file were compared with, one line each.
+        notes: What is to be said of the labels, and of what is missing in them, one line each.
     """
 
     name: str
@@ -149,4 +150,5 @@ def examine(
         kinds=kind_confusion(labels, predictions, threshold),
         num_outside=labels.num_outside,
         num_twins=labels.num_twins,
+        notes=unsaid(labels.lights),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -110,6 +111,23 @@ def empty_images(dataset: LabelledSource) -> tuple[int, ...]:
         for image_id in dataset.frame_ids
         if not dataset.annotations(image_id) and not dataset.doubtful(image_id)
     )
+
+
+def unsaid(lights: Mapping[int, tuple[Light, ...]]) -> tuple[str, ...]:
+    """What labels do not say, a line each: without it, figures on hidden vehicles and on times mean little."""
+    found = [light for its in lights.values() for light in its]
+    images = Counter(sequence_id for sequence_id, _ in {(light.sequence_id, light.image_id) for light in found})
+    seen = {(light.sequence_id, light.vehicle_id, light.image_id) for light in found}
+    num_images = Counter((sequence_id, vehicle_id) for sequence_id, vehicle_id, _ in seen)
+    lines = []
+    if found and not any(light.is_direct for light in found):
+        lines.append("no light is marked as direct: all of it counts as light of hidden vehicles")
+    if max(num_images.values(), default=0) == 1 < max(images.values()):
+        lines.append(
+            "no vehicle has light in two images of its sequence, as where oid is missing: which ones are hidden, and "
+            "when they are found, is not known"
+        )
+    return tuple(lines)
 
 
 def _truth(dataset: LabelledSource, sequence_id: int) -> SequenceTruth | None:

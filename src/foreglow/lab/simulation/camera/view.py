@@ -46,7 +46,8 @@ class View:
         scale = focal / rendered.focal_px[0]
         if scale > FINEST:
             raise ValueError(
-                f"{origin}: view.focal_px: expected up to the rendering's {rendered.focal_px[0]:g} px, got {focal:g}"
+                f"{origin}: view.focal_px: expected up to {rendered.focal_px[0]:g} px, as a rendering of "
+                f"{rendered.width_px}x{rendered.height_px} px has, got {focal:g}; render larger images"
             )
         cut = (width / scale, height / scale)
         if cut[0] > rendered.width_px + 0.5 or cut[1] > rendered.height_px + 0.5:

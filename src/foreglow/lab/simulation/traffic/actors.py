@@ -36,6 +36,7 @@ from foreglow.photometry import (
     read_ies,
     rear_lamp,
 )
+from foreglow.photometry.matrix import with_mirrored_base
 
 BEHIND_M = 15.0
 """A vehicle further than this behind our rear axle is left out: neither its light nor its body is in the image."""
@@ -151,7 +152,7 @@ def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[
 
 def matrix_of(ego: EgoSpec, lamp: MatrixLamp) -> MatrixLamp:
     """One of our matrix lamps, with its low beam for the side of traffic that our car is made for."""
-    return replace(lamp, base=lamp.base.mirrored) if ego.traffic == "left" else lamp
+    return with_mirrored_base(lamp) if ego.traffic == "left" else lamp
 
 
 def ego_lamps(

@@ -111,7 +111,7 @@ class SimulatedLights:
         self._truth = read_truth(self._dataset.root)
         self._sequence_id = sequence_id
         self._detector = Pipeline(config.detector_only)
-        self.name, self.rate_hz, self.num_images = self._dataset.name, self._dataset.rate_hz, len(self._dataset)
+        self.name, self.rate_hz, self.num_images = self._dataset.name, self._dataset.mean_rate_hz, len(self._dataset)
         self.left_out: Counter[str] = Counter()
 
     def __iter__(self) -> Iterator[Sample]:

@@ -77,12 +77,12 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
     """
     dataset = open_labelled(split)
     truth = read_truth(dataset.root)
-    own_labels = label_statistics(labels_of_split(dataset), dataset.rate_hz)
+    own_labels = label_statistics(labels_of_split(dataset), dataset.mean_rate_hz)
     own_pixels = image_statistics(_images_with_lamp(dataset, truth))
     drives = [peaks_of_drive(drive) for drive in truth]
     rule = scene_of(next(iter(truth))).labels
     scale = next(iter(truth)).camera.width_px / REFERENCE_WIDTH_PX
-    label_rows = None if real_labels is None else compare_labels(_real_statistics(real_labels), own_labels)
+    label_rows = None if real_labels is None else compare_labels(real_statistics(real_labels), own_labels)
     pixel_rows = None
     if real_image is not None:
         pixel_rows = compare_images(image_statistics(np.asarray(to_grey(read_image(real_image)), np.uint8)), own_pixels)
@@ -119,9 +119,16 @@ def peaks_of_drive(drive: SequenceTruth) -> tuple[PeaksOfFrame, ...]:
     return tuple(frames)
 
 
-def _real_statistics(path: Path) -> LabelStatistics:
+def real_statistics(path: Path) -> LabelStatistics:
+    """The statistics of real labels: of a digest, or of a split, however many of its images are labelled.
+
+    Raises:
+        FileNotFoundError: If a file is missing.
+        ValueError: If one is broken.
+    """
     if path.is_dir():
-        return label_statistics(labels_of_split(open_labelled(path)))
+        dataset = open_labelled(path)
+        return label_statistics(labels_of_split(dataset), dataset.mean_rate_hz)
     return label_statistics(read_label_digest(path))
 
 

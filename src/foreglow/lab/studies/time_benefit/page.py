@@ -177,6 +177,7 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
         f"light is annotated, in {len(occluded)} before its lamps. In {len(unreported)} the production system reports "
         "nothing: they are left out of what is compared with it."
     )
+    page.items(results.notes)
     if min(results.rates_hz) < LEAST_RATE_HZ:
         page.text(f"Below {LEAST_RATE_HZ:g} Hz five frames take longer than a human: these times say little.")
     table = Table.of(METHOD_COLUMNS, results.methods)
@@ -228,6 +229,7 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
     before, num = ours.benefit.occluded_before_production_s, len(results.encounters)
     num_occluded = sum(encounter.is_occluded for encounter in results.encounters)
     return [
+        *results.notes,
         f"{num} vehicle{'' if num == 1 else 's'} at {_rates(results)}, {num_occluded} of them occluded at first; our "
         f"tracker confirms {percent(ours.benefit.provident_share)} of these before their first lamp",
         f"these {signed(before.mean)} s before the production system (mean of {before.num}), all "

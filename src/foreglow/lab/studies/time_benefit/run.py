@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, PipelineConfig, TrackerConfig
 from foreglow.datasets import CategoryConfig, ImageCategory, LabelledSource
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
+from foreglow.lab.evaluation.boxes.lights import unsaid
 from foreglow.lab.evaluation.vehicles import (
     HUMAN_DELAY_S,
     Encounter,
@@ -96,6 +97,7 @@ class TimeBenefitResults:
         curves: By rule of confirmation, one row a setting.
         categories: By the name of an image category, when the first image in it was taken, one time an encounter, in
             their order; NaN for never. Categories without any image are left out.
+        notes: What the labels do not say, a line each; see `unsaid`.
     """
 
     name: str
@@ -106,6 +108,7 @@ class TimeBenefitResults:
     methods: tuple[Method, ...]
     curves: Mapping[str, tuple[Method, ...]]
     categories: Mapping[str, tuple[float, ...]]
+    notes: tuple[str, ...] = ()
 
     def method(self, name: str) -> Method:
         """The row called `name`."""
@@ -113,7 +116,7 @@ class TimeBenefitResults:
 
     def to_json(self) -> dict[str, Any]:
         """All figures by name, without the configuration."""
-        names = ("name", "rates_hz", "num_sequences", "encounters", "methods", "curves", "categories")
+        names = ("name", "rates_hz", "num_sequences", "encounters", "methods", "curves", "categories", "notes")
         return {name: getattr(self, name) for name in names}
 
 
@@ -133,6 +136,7 @@ class _Split:
     tracks: Mapping[str, tuple[SequenceTracks, ...]]
     km: float
     categories: Mapping[str, tuple[float, ...]]
+    notes: tuple[str, ...]
 
 
 def run_experiment(
@@ -215,6 +219,7 @@ def run_experiment(
             for category in splits[0].categories
             if not np.isnan(times_s := tuple(time_s for split in splits for time_s in split.categories[category])).all()
         },
+        notes=tuple(line for split in splits for line in split.notes),
     )
 
 
@@ -245,6 +250,7 @@ def _measure(
         tracks=quality,
         km=km,
         categories=_category_times_s(dataset, encounters),
+        notes=tuple(f"{dataset.root}: {line}" for line in (*dataset.notes, *unsaid(labels.lights))),
     )
 
 
