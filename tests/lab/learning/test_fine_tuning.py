@@ -376,13 +376,14 @@ def test_drives_that_nobody_has_labelled_teach_nothing(
     for path in data.glob("day/*/labels/keypoints/*.json"):
         path.write_text(json.dumps(json.loads(path.read_text()) | {"annotations": []}))
     options = ["--from", tmp_path / "start.onnx", "--config", drives.parent / "config.toml", "--device", "cpu"]
-    options += ["--out", tmp_path / "mine", "--epochs", 1]
-    assert f"{data}/day/train: expected light artifacts among" in complaint("train", data, *options)
+    options += ["--epochs", 1, "--out"]
+    mine = tmp_path / "mine"
+    assert f"{data}/day/train: expected light artifacts among" in complaint("train", data, *options, mine)
     monkeypatch.setattr(fine_tuning, "MAX_LOSS", 1.0)
     monkeypatch.setattr(fine_tuning, "MAX_SEEN", 1)
-    done = foreglow_command("train", drives / "day/train", data, *options)
+    done = foreglow_command("train", drives / "day/train", data, *options, mine)
     assert done.exit_code == 0, done.output
-    mixed = foreglow_command("train", drives, *options, "--mix", data, "--out", tmp_path / "mixed")
+    mixed = foreglow_command("train", drives, "--mix", data, *options, tmp_path / "mixed")
     assert mixed.exit_code == 0, mixed.output
     for split in ("train", "val"):
         for told in (done.stdout, mixed.stdout):

@@ -210,8 +210,8 @@ def fine_tune(
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]
     mixed_in = {name: [split_folder(path, name) for path in mix] for name in _SPLITS}
-    check_each_once([*roots, *mixed_in["train"]], "DATA and --mix")
     check_apart([*roots, *mixed_in["train"]], [*val_splits, *mixed_in["val"]], data)
+    check_each_once([*roots, *mixed_in["train"]], "DATA and --mix")
     given = recipe.model_dump(mode="json")
     del given["epochs"]  # those of the training follow from the number of samples
     camera = {"white_level": config.guard.white_level}
