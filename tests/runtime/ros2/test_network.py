@@ -46,7 +46,7 @@ PATIENT = ("--deadline", "10")
 
 def patient_config() -> PipelineConfig:
     config = preset("foreglow").commanding()
-    return config.model_copy(update={"guard": config.guard.model_copy(update={"max_age_s": 10.0, "max_gap_s": 10.0})})
+    return config.changed("guard", max_age_s=10.0, max_gap_s=10.0).changed("live", abandon_s=100.0)
 
 
 @pytest.fixture(scope="module")
