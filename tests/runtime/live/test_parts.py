@@ -31,6 +31,7 @@ from foreglow.runtime.live.loop import SWITCH_S, quick_switching
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.notify import ServiceNotifier
 from foreglow.runtime.live.watch import FrameWatch
+from foreglow.runtime.run import KeepingSink
 from foreglow.types import Frame, FrameResult, Image
 from tests.runtime.live.stand_ins import Keeper
 from tests.stand_ins import ListSource, night_frames, result_of
@@ -252,6 +253,22 @@ def test_sink_that_falls_behind() -> None:
     assert len(sink.results) == len(frames) - background.num_lost
     assert [frame.frame for frame, _ in sink.results] == [frame.frame for frame in frames][: len(sink.results)]
     assert sink.ends == ["close"]
+
+
+@pytest.mark.parametrize("num_more", [0, 5])
+def test_a_recording_that_fell_behind_is_not_complete(num_more: int) -> None:
+    class Recorder(Blocked, KeepingSink):
+        @property
+        def num_kept(self) -> int:
+            return len(self.results)
+
+    sink = Recorder()
+    background = Background(sink)
+    for frame in night_frames(NUM_WAITING + num_more):
+        background.write(frame, result_of(frame, []))
+    sink.released.set()
+    background.close()
+    assert sink.is_complete == (num_more == 0)
 
 
 def ended(sink: Keeper) -> Background:

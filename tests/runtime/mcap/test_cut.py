@@ -33,7 +33,7 @@ pytest.importorskip("foxglove")
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.mcap import McapRecorder
 
-WORDS = "the recording was interrupted, what is made from it is incomplete"
+WORDS = "the recording was interrupted or fell behind, what is made from it is incomplete"
 
 
 class Interrupted(ListSource):

@@ -90,9 +90,9 @@ def unfinished(path: Path) -> str:
     return f"{path}: the recording was not finished, what is made from it is incomplete"
 
 
-def interrupted(path: Path) -> str:
-    """A message about a recording that says that frames of its source are missing at its end."""
-    return f"{path}: the recording was interrupted, what is made from it is incomplete"
+def incomplete(path: Path) -> str:
+    """A message about a recording that says that frames of its source are missing."""
+    return f"{path}: the recording was interrupted or fell behind, what is made from it is incomplete"
 
 
 def continuation(path: Path, end: int, size: int) -> str:

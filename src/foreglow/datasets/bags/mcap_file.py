@@ -20,7 +20,7 @@ from foreglow.datasets.bags.containers import (
     Topic,
     continuation,
     decompressed,
-    interrupted,
+    incomplete,
     is_partial,
     unfinished,
 )
@@ -68,7 +68,7 @@ class McapFile:
         self.truncation = "" if end or is_partial(path) else f"{path}: truncated recording, its end is missing"
         self._end = end or self._size
         if end:
-            self.lack = interrupted(path) if self._is_cut() else ""
+            self.lack = incomplete(path) if self._is_cut() else ""
         else:
             self.lack = unfinished(path) if is_partial(path) else ""
 

@@ -80,10 +80,10 @@ class Background:
         """Waits until everything is written and the sink is closed, unless it is stuck.
 
         Args:
-            is_complete: As in `KeepingSink`.
+            is_complete: As in `KeepingSink`, of the frames that were given.
         """
         if isinstance(self.sink, KeepingSink):
-            self.sink.is_complete = is_complete
+            self.sink.is_complete = is_complete and self._num_refused == 0
         self._finish(self.sink.close)
 
     def discard(self) -> None:
