@@ -127,7 +127,7 @@ def test_a_view_averages_the_light_of_its_pixels() -> None:
     ("profile", "message"),
     [
         (sized(200, 120, 164.0), "expected a field of view within the rendering's 160x120 px"),
-        (sized(320, 240), r"view\.focal_px: expected up to the rendering's"),
+        (sized(320, 240), r"view\.focal_px: expected up to 164 px, as a rendering of 160x120 px has"),
     ],
 )
 def test_a_size_that_does_not_fit_the_rendering(profile: CameraProfile, message: str) -> None:
