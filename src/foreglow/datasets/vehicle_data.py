@@ -109,12 +109,13 @@ class Equipped:
                 ids.setdefault(source.sequence(image_id).directory, []).append(image_id)
             spans_ns: dict[str, tuple[int, int]] = {}
             for name, (first, *others) in ids.items():
-                span_ns = _time_ns(source, first), _time_ns(source, (others or [first])[-1])
+                span_ns = timestamp_ns(source, first), timestamp_ns(source, (others or [first])[-1])
                 _check_apart(self, spans_ns, name, span_ns)
                 spans_ns[name] = span_ns
 
 
-def _time_ns(source: LabelledSource, image_id: int) -> int:
+def timestamp_ns(source: LabelledSource, image_id: int) -> int:
+    """When an image was taken, as its frame has it."""
     return round(source.sequence(image_id).start_time_ms * 1_000_000) + round(source.time_s(image_id) * 1e9)
 
 

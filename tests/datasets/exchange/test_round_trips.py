@@ -107,7 +107,7 @@ def test_a_file_beside_its_images_is_a_data_set(name: str, split: Path) -> None:
     assert [(frame.frame, frame.sequence) for frame in frames] == [
         (5, "S00001"), (7, "S00001"), (11, "S00003"), (12, "S00003"), (13, "S00003"),
     ]  # fmt: skip
-    assert frames[1].timestamp_ns == round(1e9 / 18)
+    assert [frame.timestamp_ns for frame in frames] == [frame.timestamp_ns for frame in open_labelled(split)]
     record = found.image(11)
     assert (record.width_px, record.height_px) == (96, 72)
 
@@ -378,13 +378,24 @@ def test_earlier_images_are_no_frames(tmp_path: Path) -> None:
     times = "sequence with attributes (weather, road, driver, times, ...)"
     assert exported(tmp_path / "own", tmp_path / "b.xml", "cvat-video") == {beside: 1, times: 1}
     again = LabelFile(tmp_path / "b.xml", folder)
-    assert again.lost == labels_of(again).lost == labels_of(again, {2, 10}).lost == {beside: 1}
-    assert not labels_of(again, {2, 22}).lost
+    assert not again.lost, "the set around the images says how old the earlier one is"
+    (other := tmp_path / "other").mkdir()
+    for path in folder.iterdir():
+        (other / path.name).write_bytes(path.read_bytes())
+    alone = LabelFile(tmp_path / "b.xml", other)
+    assert alone.lost == labels_of(alone).lost == labels_of(alone, {2, 10}).lost == {beside: 1}
+    assert not labels_of(alone, {2, 22}).lost
     write_split(again, tmp_path / "back")
     own, back = PVDN(tmp_path / "own"), PVDN(tmp_path / "back")
     assert back.frame_ids == own.frame_ids == tuple(marks)
     for image_id in own.frame_ids:
-        np.testing.assert_array_equal(back.read(image_id).image, own.read(image_id).image)
+        frame, expected = back.read(image_id), own.read(image_id)
+        assert frame.timestamp_ns == expected.timestamp_ns
+        assert (frame.earlier is None) == (expected.earlier is None) == (image_id != 10)
+        np.testing.assert_array_equal(frame.image, expected.image)
+        if frame.earlier is not None and expected.earlier is not None:
+            assert frame.earlier.timestamp_ns == expected.earlier.timestamp_ns
+            np.testing.assert_array_equal(frame.earlier.image, expected.earlier.image)
         assert [mark.position_px for mark in marks_of(back.annotations(image_id)) if mark.kind == Kind.LIGHT] == [
             (image_id, 8)
         ]

@@ -11,6 +11,7 @@ import pytest
 from foreglow.datasets import PVDN, ImageFolder, open_labelled
 from foreglow.datasets.exchange import LabelFile, write_labels_file, write_split
 from foreglow.datasets.exchange.marks import ImageLabels, LabelSet
+from tests.datasets.tiny_pvdn import edit, make_pvdn
 from tests.datasets.video.test_video_file import make_video
 
 
@@ -110,3 +111,23 @@ def test_in_a_pause_nobody_looks(tmp_path: Path) -> None:
     assert labels.mean_rate_hz == 18.0
     few = open_labelled(labels_of(tmp_path / "b.xml", [f"drive/{number:06d}.png" for number in (0, 27, 54, 108)]))
     assert few.mean_rate_hz == pytest.approx(3 / 6)  # steps of 1.5 and 3 s, but each is about as long as the others
+
+
+def test_images_of_a_set_have_its_times_and_rate(tmp_path: Path) -> None:
+    """A set of 6 images a second, as its labels are corrected once more."""
+    root = make_pvdn(tmp_path / "set")
+    edit(root / "labels/image_annotations.json", "info", value={"rate_hz": 6.0})
+    for index in range(5):
+        edit(root / "labels/image_annotations.json", "images", index, "timestamp", value=None)
+    known = open_labelled(root)
+    for images, path in ((root / "images", tmp_path / "all.xml"), (root / "images/S00003", tmp_path / "one.xml")):
+        found = known if images.name == "images" else known.only("S00003")
+        names = [found.image_path(image_id).relative_to(images).as_posix() for image_id in found.frame_ids]
+        labels = LabelFile(labels_of(path, names), images)
+        assert labels.rate_hz == 6.0
+        assert [frame.timestamp_ns for frame in labels] == [frame.timestamp_ns for frame in found]
+        assert [labels.time_s(k) for k in labels.frame_ids] == pytest.approx([found.time_s(k) for k in found.frame_ids])
+        write_split(labels, tmp_path / path.stem)
+        again = PVDN(tmp_path / path.stem)
+        assert again.rate_hz == 6.0
+        assert [frame.timestamp_ns for frame in again] == [frame.timestamp_ns for frame in found]

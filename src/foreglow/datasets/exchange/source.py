@@ -36,10 +36,11 @@ from foreglow.datasets.image_folder import (
 )
 from foreglow.datasets.images import read_coloured_image
 from foreglow.datasets.labelled import LabelledSource
-from foreglow.datasets.pvdn.reader import PVDN_RATE_HZ
+from foreglow.datasets.pvdn.reader import PVDN, PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageCategory, ImageRecord, Instance, Sequence, Vehicle
 from foreglow.datasets.pvdn.splits import is_split
 from foreglow.datasets.source import OnError
+from foreglow.datasets.vehicle_data import timestamp_ns
 from foreglow.datasets.video import Video
 from foreglow.types import Frame
 from foreglow.types.white import full_scale
@@ -65,10 +66,11 @@ class LabelFile(LabelledSource):
     about the frames of a video, too.
 
     Whatever part of a drive is labelled, its images have the times of the drive: those of the video, of which `time_s`
-    tells as if its rate were steady, or those that a run on their folder has, at PVDN's rate. Where images have no
-    place in their folder, or other places than by their ids, each is a frame later than the one before. A frame comes
-    with one of a quarter of a second before, `Frame.earlier`, unless that is labelled, too: a classifier may want to
-    see what was there before, and nobody labels all frames of a drive.
+    tells as if its rate were steady, or those that a run on their folder has: in a split those of its labels, elsewhere
+    at PVDN's rate. Where images have no place in their folder, or other places than by their ids, each is a frame later
+    than the one before. A frame comes with one of a quarter of a second before, `Frame.earlier`, or the one that the
+    split has for it, unless that is labelled, too: a classifier may want to see what was there before, and nobody
+    labels all frames of a drive.
 
     Attributes:
         labels: What the file says.
@@ -92,14 +94,16 @@ class LabelFile(LabelledSource):
         self.root = self.path.parent
         self.labels: LabelSet = read_labels_file(self.path)
         self.folder, self._video = self._images_at(None if images is None else Path(images))
-        self.rate_hz = (self._video.rate_hz if self._video is not None else None) or PVDN_RATE_HZ
+        self._splits: dict[Path, PVDN | None] = {}
+        self._ids_in_split: dict[Path, dict[str, int]] = {}
         named = numbered(self._named())
         self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
         self._labelled = {self.folder / image.name: id_ for id_, image in self._images.items()}
         self._sequences = _sequences(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
+        self.rate_hz = self._rate_hz()
         self._drives = {each.id: self._drive_of(each) for each in self._sequences}
-        self._steps = {id_: step for each in self._sequences for id_, step in self._steps_of(each).items()}
+        self._times_ns = {id_: time_ns for each in self._sequences for id_, time_ns in self._times_of(each).items()}
         self.frame_ids = tuple(id_ for each in self._sequences for id_ in each.image_ids)
 
     @property
@@ -158,50 +162,80 @@ class LabelFile(LabelledSource):
                 if frame.frame == number:
                     return self._checked(frame, image_id)
             raise ValueError(self._missing(number))
-        frame = self._at(self.image_path(image_id), self._steps[image_id], self._pauses_s[image_id])
+        frame = self._at(self.image_path(image_id), self._times_ns[image_id], self._pauses_s[image_id])
         return self._checked(frame, image_id, self._beside(image_id))
 
-    def _at(self, path: Path, step: int, pauses_s: float) -> Frame:
+    def _at(self, path: Path, time_ns: int, pauses_s: float) -> Frame:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such image, expected that of {self.path}")
         image, chroma = read_coloured_image(path)
-        timestamp_ns = self._time_ns(step) + round(1e9 * pauses_s)
-        return Frame(image, timestamp_ns, path=str(path), red_chroma=chroma)
-
-    def _time_ns(self, step: int) -> int:
-        return round(step * 1e9 / self.rate_hz)
+        return Frame(image, time_ns + round(1e9 * pauses_s), path=str(path), red_chroma=chroma)
 
     def _beside(self, image_id: int) -> Frame | None:
-        """Of the images in its folder the earlier one; None without one, or if it is among the selected ones."""
-        step, drive = self._steps[image_id], self._drives[self.sequence(image_id).id]
-        steps = range(step - math.ceil(2 * EARLIER_S * self.rate_hz), step)
-        earlier = _earlier({each: self._time_ns(each) for each in steps if each in drive}, self._time_ns(step))
+        """The earlier image: the split's, or of those in its folder; None without one, or if it is a selected one."""
+        time_ns, drive = self._times_ns[image_id], self._drives[self.sequence(image_id).id]
+        path = self.image_path(image_id)
+        split, ids = self._split_around(path.parent)
+        if split is not None and path.name in ids and split.image(ids[path.name]).earlier is not None:
+            return split.read(ids[path.name]).earlier
+        least_ns = time_ns - 2e9 * EARLIER_S
+        earlier = _earlier({each: each for each in drive if least_ns <= each < time_ns}, time_ns)
         if earlier is None or self._labelled.get(drive[earlier]) in self.frame_ids:
             return None
-        if not is_one_drive(drive[earlier], drive[step]):
+        if not is_one_drive(drive[earlier], drive[time_ns]):
             return None
         return self._at(drive[earlier], earlier, self._pauses_s[image_id])
 
     def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
-        """By step, the images in the folder of a sequence; empty if nobody knows when these, or labelled ones, were."""
+        """By their times in ns, the images in the folder of a sequence.
+
+        Empty if nobody knows when these, or labelled ones, were taken.
+        """
         if self._video is not None:
             return {}
         paths = [self.folder / self._images[image_id].name for image_id in sequence.image_ids]
         folder = paths[0].parent
         with contextlib.suppress(OSError, ValueError):
-            drive = {step: folder / name for name, step in steps_in(folder).items()}
-            places = {path: step for step, path in drive.items()}
-            steps = [places.get(path, -1) for path in paths]
-            if steps[0] >= 0 and all(before < after for before, after in itertools.pairwise(steps)):
-                return drive
+            places = {folder / name: time_ns for name, time_ns in self._taken_ns(folder).items()}
+            times_ns = [places.get(path, -math.inf) for path in paths]
+            if all(before < after for before, after in itertools.pairwise([-math.inf, *times_ns])):
+                return {time_ns: path for path, time_ns in places.items()}
         return {}
 
-    def _steps_of(self, sequence: Sequence) -> dict[int, int]:
-        """By id, how many frames each image comes after the first one of its drive, or of the sequence."""
+    def _taken_ns(self, folder: Path) -> dict[str, int]:
+        """By name, when the images in a folder were taken, as a run on it has it."""
+        split, ids = self._split_around(folder)
+        if split is None:
+            return {name: round(step * 1e9 / PVDN_RATE_HZ) for name, step in steps_in(folder).items()}
+        return {name: timestamp_ns(split, image_id) for name, image_id in ids.items()}
+
+    def _split_around(self, folder: Path) -> tuple[PVDN | None, dict[str, int]]:
+        """The split in which a folder of images is a sequence, with the numbers of its images; None without one."""
+        place = folder.resolve()
+        root = place.parent.parent
+        if root not in self._splits:
+            self._splits[root] = PVDN(root) if place.parent.name == "images" and is_split(root) else None
+        split = self._splits[root]
+        if split is None:
+            return None, {}
+        if place not in self._ids_in_split:
+            ids = (id_ for each in split.sequences if each.directory == place.name for id_ in each.image_ids)
+            self._ids_in_split[place] = {split.image(id_).file_name: id_ for id_ in ids}
+        return split, self._ids_in_split[place]
+
+    def _rate_hz(self) -> float:
         if self._video is not None:
-            return {image_id: image_id for image_id in sequence.image_ids}
-        steps = {self._labelled.get(path): step for step, path in self._drives[sequence.id].items()}
-        return {image_id: steps.get(image_id, place) for place, image_id in enumerate(sequence.image_ids)}
+            return self._video.rate_hz or PVDN_RATE_HZ
+        splits = {self._split_around(folder)[0] for folder in {path.parent for path in self._labelled}}
+        return max(PVDN_RATE_HZ if split is None else split.rate_hz for split in splits)
+
+    def _times_of(self, sequence: Sequence) -> dict[int, int]:
+        """By id, when each image was taken: in its drive, or as if it were a frame later than the one before."""
+        if self._video is not None:
+            return {image_id: round(image_id * 1e9 / self.rate_hz) for image_id in sequence.image_ids}
+        times_ns = {self._labelled.get(path): time_ns for time_ns, path in self._drives[sequence.id].items()}
+        places = enumerate(sequence.image_ids)
+        return {image_id: times_ns.get(image_id, round(place * 1e9 / self.rate_hz)) for place, image_id in places}
 
     @property
     def coco_ids(self) -> dict[int, int]:
@@ -214,6 +248,8 @@ class LabelFile(LabelledSource):
         if self._video is not None:
             return False
         path = self.image_path(image_id)
+        if path.name in self._split_around(path.parent)[1]:
+            return False
         return has_earlier(path) and path.with_name(earlier_name(path.name)) not in self._labelled
 
     @property
@@ -268,8 +304,7 @@ class LabelFile(LabelledSource):
     def time_s(self, image_id: int) -> float:
         """As in `LabelledSource`."""
         first_id = self.sequence(image_id).image_ids[0]
-        steps = self._steps[image_id] - self._steps[first_id]
-        return steps / self.rate_hz + self._pauses_s[image_id]
+        return (self._times_ns[image_id] - self._times_ns[first_id]) / 1e9 + self._pauses_s[image_id]
 
     @functools.cached_property
     def _pauses_s(self) -> dict[int, float]:
