@@ -151,7 +151,6 @@ def tune(
     settings = TuningSettings(trials, images, objective, space, seed, storage=storage, white_level=white_level)
     say_bits_of([data], white_level, BY_OPTION)
     with StepProgress() as progress:
-        settings = dataclasses.replace(settings, white_level=white_level)
         tuning = search(data, out, settings, progress, workers=work.workers())
     report = write_report(tuning, out)
     typer.echo("\n".join([*_tuning_lines(tuning), *beside_paper("tune", out / "summary.json")]))
