@@ -23,7 +23,7 @@ from foreglow.lab.learning.training_run import MODEL, RECIPE, WEIGHTS, training_
 from foreglow.plugins import words_of
 
 
-def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layers:
+def import_weights(weights: Path | str, out: Path | str, fold: float | None = None) -> Layers:
     """Writes the published classifier as an ONNX model that `foreglow.classifier` reads, and returns its layers.
 
     The model says which boxes it knows: those of the preset `baseline`, or for weights in the folder of a training
@@ -40,6 +40,7 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layer
             computes is not finite; or the tolerance is not in [0, 1). The message names path, field and expectation.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
+    weights, out = Path(weights), Path(out)
     if fold is not None and not 0 <= fold < 1:
         raise ValueError(f"fold: expected a tolerance of at least 0 and below 1, got {fold}")
     if not out.parent.is_dir():
