@@ -190,6 +190,8 @@ def test_a_wrong_bit_in_the_former_format_is_told(tmp_path: Path) -> None:
 def test_missing_weights(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such file of weights"):
         import_weights(tmp_path / "none.pt", tmp_path / "model.onnx")
+    with pytest.raises(ValueError, match="expected a file, is a folder"):
+        import_weights(tmp_path, tmp_path / "model.onnx")
 
 
 @pytest.mark.parametrize("content", [b"", b"not weights at all", bytes(300)])
