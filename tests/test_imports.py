@@ -73,6 +73,7 @@ ALLOWED: dict[str, set[str]] = {
         "command_line",
         "config",
         "beam",
+        "classifier",
         "datasets",
         "files",
         "outputs",

@@ -290,14 +290,14 @@ def bounded_lines(file: IO[AnyStr], path: Path, max_bytes: int) -> Iterator[AnyS
         yield line
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path | str) -> dict[str, Any]:
     """What the TOML file `path` holds.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not TOML, or beyond a bound; the message names the path and the place.
     """
-    data = read_bytes(path, MAX_TOML_BYTES)
+    data = read_bytes(Path(path), MAX_TOML_BYTES)
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         for part in re.split(r"[=,{}\[\]\n]", _TOML_TEXTS.sub('""', text)):

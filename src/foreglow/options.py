@@ -13,7 +13,7 @@ from foreglow.own_files import RECORDING, VIEW
 from foreglow.plugins import raising
 
 if TYPE_CHECKING:
-    from foreglow.config import PipelineConfig
+    from foreglow.config import PipelineConfig, ProposalConfig
     from foreglow.datasets import FrameSource, OnError, SplitName
     from foreglow.datasets.vehicle_logs import VehicleFiles
     from foreglow.parallel import Workers
@@ -100,21 +100,36 @@ def check_boxes(name: str, model: Path, configuration: PipelineConfig) -> None:
     Raises:
         ValueError: If they are others, on which the scores of the model, given by the option `name`, mean nothing.
     """
+    known = known_proposals(model)
+    if known is not None and configuration.proposals != known[0]:
+        raise ValueError(
+            f"proposals: expected {known[1]} with {name} {model}, which knows the boxes of these proposals only"
+        )
+
+
+def known_proposals(model: Path) -> tuple[ProposalConfig, str] | None:
+    """The proposals whose boxes a model has learnt, and the option that gives them; None where nothing says it.
+
+    That is known of the model that ships, by the model itself, or by the file of the training that it lies in.
+
+    Raises:
+        ValueError: If the model, or the file beside it, is broken.
+    """
+    from foreglow.classifier.learnt import learnt_proposals
     from foreglow.config import PRESETS, read_config
     from foreglow.files import read_toml
 
-    known: PipelineConfig | None = None
     if str(model) in PRESETS:
-        known, wanted = PRESETS[str(model)], f"--preset {model}"
-    else:
-        file = model.with_name("config.toml")  # also beside a model of another name, as a checkpoint that was kept
-        wanted, fields = f"--config {file}", read_toml(file).get("proposals") if file.is_file() else None
-        if isinstance(fields, dict) and fields.keys() >= type(configuration.proposals).model_fields.keys():
-            known = read_config(file)  # a whole one, as a training writes it
-    if known is not None and configuration.proposals != known.proposals:
-        raise ValueError(
-            f"proposals: expected {wanted} with {name} {model}, which knows the boxes of these proposals only"
-        )
+        return PRESETS[str(model)].proposals, f"--preset {model}"
+    own = learnt_proposals(model)
+    if own is not None:
+        preset = next((name for name, each in PRESETS.items() if each.proposals == own), None)
+        return own, "a --config of its training's proposals" if preset is None else f"--preset {preset}"
+    file = model.with_name("config.toml")  # also beside a model of another name, as a checkpoint that was kept
+    fields = read_toml(file).get("proposals") if file.is_file() else None
+    if isinstance(fields, dict) and fields.keys() >= PRESETS["paper"].proposals.model_dump().keys():
+        return read_config(file).proposals, f"--config {file}"  # a whole one, as a training writes it
+    return None
 
 
 def _check_own_model(config: Path, model: Path | None) -> None:

@@ -83,6 +83,9 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     experiment = ("experiment", "detector", data, "--out", tmp_path / "out")
     assert "rows: expected some of baseline" in complaint(*experiment, "--rows", "best")
     assert "no such model, given with --our-model" in complaint(*experiment, "--our-model", tmp_path / "absent")
+    line = complaint(*experiment, "--no-yolo", "--no-training")  # it made a report of nothing
+    assert "rows: expected one whose model is given or trained, got none: baseline-small: not given" in line
+    assert not (tmp_path / "out").exists()
     assert "split: expected one of train, val, test, got 'all'" in complaint(*experiment, "--split", "all")
 
 

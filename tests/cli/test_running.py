@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import foreglow
+from foreglow.config import config_to_toml, preset
 from foreglow.datasets import shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.inputs import named_by
@@ -347,6 +348,23 @@ def test_a_run_says_what_to_expect(tmp_path: Path, folder: Path, config: Path) -
     assert "the model has seen simulated drives only, and other boxes, so look at the result" in others.stdout
     made_up = foreglow_command("run", folder, "--out", tmp_path / "b", "--config", config, "--preset", "paper")
     assert "camera: unknown, like no profile of the simulator\n" in made_up.stdout, "and no model of ours ran"
+
+
+def test_a_run_on_other_boxes_than_those_of_its_model_says_so(tmp_path: Path, folder: Path) -> None:
+    """That was said of the model that ships only, not of one that was trained."""
+    model, own, out = tmp_path / "model.onnx", tmp_path / "own.toml", tmp_path / "out"
+    shutil.copyfile(model_path(Path("foreglow")), model)
+    (tmp_path / "config.toml").write_text(config_to_toml(preset("foreglow").changed("classifier", model=model)))
+    line = "the model has seen other boxes, so look at the result before you trust it"
+    for fields, is_said in (("kappa = 0.4", True), ('backend = "reference"', False)):
+        own.write_text(f"[proposals]\n{fields}\n")
+        given = foreglow_command("run", folder, "--config", own, "--model", model, "--out", out)
+        assert given.exit_code == 0, given.output
+        assert (line in given.stdout) == is_said
+    own.write_text(f'[proposals]\nkappa = 0.4\n[classifier]\nmodel = "{model}"\n')
+    assert line in foreglow_command("run", folder, "--config", own, "--out", out).stdout
+    (tmp_path / "config.toml").write_text("broken")  # the run is done: what cannot be read says nothing
+    assert foreglow_command("run", folder, "--config", own, "--out", out).exit_code == 0
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from foreglow.cli.learning import _training_lines, _worse_lines
+from foreglow.cli.learning import _kept_lines, _training_lines, _worse_lines
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import PVDN
 from foreglow.lab.evaluation import evaluate_boxes
@@ -299,8 +299,18 @@ def test_a_figure_that_is_undefined_is_a_dash(capsys: pytest.CaptureFixture[str]
     figures |= {"precision": math.nan, "recall": 0.0, "f1": math.nan, "threshold": 0.5}
     counts = {name: {"positive": 1, "negative": 1, "ignored": 0} for name in ("train", "val")}
     summary = {"samples": counts, "validation": figures, "best_epoch": {"number": 1}, "num_epochs": 1}
-    summary |= {"recipe": {"jitter": {"num_copies": 0}}, "without_light": []}
+    summary |= {"recipe": {"jitter": {"num_copies": 0}, "calibration": "platt"}, "without_light": []}
     assert "calibrated: P –, R 0.000, F – at a score" in "\n".join(_training_lines(summary, Path()))
+    summary["recipe"] = {"jitter": {"num_copies": 0}, "calibration": "none"}  # as that of the paper
+    lines = "\n".join(_training_lines(summary, Path()))
+    assert "not calibrated, by its recipe: calibration error 0.250\non the validation boxes: P –, R 0.000" in lines
+    assert "temperature" not in lines
+
+
+@pytest.mark.parametrize(("way", "is_said"), [(1.0, False), (0.35, True), (0.0, False)])
+def test_weights_that_moved_a_part_of_the_way_are_told(way: float, is_said: bool) -> None:
+    (line,) = _kept_lines({"phone": {"light": [0.9, 0.8]}}, way)
+    assert ("the weights moved 35% of the way to what it learnt" in line) == is_said
 
 
 def test_a_data_set_without_validation(tmp_path: Path, options: list[object]) -> None:

@@ -327,7 +327,7 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     picture = draw_changes(judged, folder)
     if picture is not None:
         typer.echo(f"what changed, before and after: look at {picture}")
-    for line in _kept_lines(summary["kept"]):
+    for line in _kept_lines(summary["kept"], summary["way"]):
         typer.echo(line)
     if summary["way"] == 0:
         typer.echo(
@@ -363,11 +363,15 @@ def _worse_lines(judged: Sequence[Judged]) -> list[str]:
     return lines
 
 
-def _kept_lines(kept: dict[str, dict[str, list[float]]]) -> Iterator[str]:
-    """On which camera's drives the new model lost most of what it knew; none where nothing tells."""
+def _kept_lines(kept: dict[str, dict[str, list[float]]], way: float) -> Iterator[str]:
+    """On which camera's drives the new model lost most of what it knew, and whether that held it back; none where
+    nothing tells.
+    """
     found = [(camera, before, after) for camera, pairs in kept.items() for before, after in pairs.values()]
     for camera, before, after in sorted(found, key=lambda each: each[2] - each[1])[:1]:
-        yield f"of what it knew, it kept least on {camera}: average precision {before:.3f} before, {after:.3f} after"
+        held = "" if way in (0, 1) else f"; to keep so much, the weights moved {way:.0%} of the way to what it learnt"
+        line = f"of what it knew, it kept least on {camera}: average precision {before:.3f} before, {after:.3f} after"
+        yield line + held
 
 
 def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
@@ -383,11 +387,18 @@ def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
         for name in ("train", "val")
     ]
     lines += _unlit_lines(summary)
+    lines.append(f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}")
+    error, after = figures["calibration_error"], ""
+    if summary["recipe"]["calibration"] == "none":
+        lines.append(f"not calibrated, by its recipe: calibration error {error['after']:.3f}")
+    else:
+        after = ", calibrated"
+        lines.append(
+            f"calibrated with temperature {figures['temperature']:.2f} and shift {figures['shift']:.2f}: calibration "
+            f"error {error['before']:.3f} before, {error['after']:.3f} after"
+        )
     lines += [
-        f"{counted(summary['num_epochs'], 'epoch')}, the best is number {best['number']}",
-        f"calibrated with temperature {figures['temperature']:.2f} and shift {figures['shift']:.2f}: calibration error "
-        f"{figures['calibration_error']['before']:.3f} before, {figures['calibration_error']['after']:.3f} after",
-        f"on the validation boxes, calibrated: P {number(figures['precision'], 3)}, R {number(figures['recall'], 3)}, "
+        f"on the validation boxes{after}: P {number(figures['precision'], 3)}, R {number(figures['recall'], 3)}, "
         f"F {number(figures['f1'], 3)} at a score of {figures['threshold']:g}",
     ]
     if not (folder / "curves.png").is_file():

@@ -33,9 +33,6 @@ BY_OPTION = "--white-level says so"
 WINDOW_S = 20.0
 """How far back the plots of the viewer's window go."""
 
-WHERE = {"region_xyxy_px", "backend", "dispatch"}
-"""Fields of the proposals that do not change what a box is."""
-
 
 def open_frames(source: Path, reading: SourceOptions, vehicle: VehicleOptions) -> FrameSource:
     """The frames of `source`; workers call it, too."""
@@ -166,17 +163,23 @@ def look_sink(frames: FrameSource, limit: int | None, configuration: PipelineCon
 
 
 def expectation(profile: str | None, configuration: PipelineConfig) -> str:
-    """What to expect of a run whose camera resembles this profile of the simulator."""
+    """What to expect of a run whose camera resembles this profile of the simulator, and of its model."""
+    from foreglow.classifier.learnt import have_same_boxes
     from foreglow.config import PRESETS
+    from foreglow.options import known_proposals
 
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
-    model, boxes = configuration.classifier.model, configuration.proposals.model_dump(exclude=WHERE)
-    known = [each.proposals for each in PRESETS.values() if model is not None and each.classifier.model == model]
-    if not known:
+    model = configuration.classifier.model
+    known = None
+    with contextlib.suppress(ValueError, OSError):  # what is broken says nothing: the run is done
+        known = None if model is None else known_proposals(model)
+    is_ours = model is not None and any(each.classifier.model == model for each in PRESETS.values())
+    seen = ["simulated drives only"] if is_ours else []
+    if known is not None and not have_same_boxes(known[0], configuration.proposals):
+        seen.append("other boxes")
+    if not seen:
         return f"camera: {like}"
-    others = "" if boxes == known[0].model_dump(exclude=WHERE) else ", and other boxes"
-    end = "so look at the result before you trust it"
-    return f"camera: {like}; the model has seen simulated drives only{others}, {end}"
+    return f"camera: {like}; the model has seen {', and '.join(seen)}, so look at the result before you trust it"
 
 
 def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_CONFIGURATION) -> list[str]:

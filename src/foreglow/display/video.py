@@ -95,7 +95,7 @@ class Movie:
     that failed once more, from memory that it has given back, so it is never called again.
     """
 
-    def __init__(self, path: Path, fps: float | None = None) -> None:
+    def __init__(self, path: Path | str, fps: float | None = None) -> None:
         """A movie in the file `path`, whatever its suffix.
 
         Args:
@@ -105,6 +105,7 @@ class Movie:
         Raises:
             ValueError: If `fps` is not a positive number.
         """
+        path = Path(path)
         rate_hz = DEFAULT_FPS if fps is None else fps
         if not 0.0 < rate_hz < float("inf"):
             raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
@@ -192,7 +193,7 @@ class VideoSink(Movie):
     and encoded in a thread of their own, while the run goes on.
     """
 
-    def __init__(self, path: Path, fps: float | None = None, draw: Drawing = annotate) -> None:
+    def __init__(self, path: Path | str, fps: float | None = None, draw: Drawing = annotate) -> None:
         """A sink for the file `path`, as `Movie` takes them."""
         super().__init__(path, fps)
         self._draw = draw
@@ -233,8 +234,8 @@ class VideoSink(Movie):
 class PictureSink:
     """A result sink that writes the picture of the last frame it gets as PNG; for a single image."""
 
-    def __init__(self, path: Path, draw: Drawing = annotate) -> None:
-        self._path = path
+    def __init__(self, path: Path | str, draw: Drawing = annotate) -> None:
+        self._path = Path(path)
         self._draw = draw
         self._picture: Picture | None = None
 

@@ -57,7 +57,7 @@ class Cluster:
         progress: ProgressCallback,
         *,
         is_stopped: Callable[[], bool] = lambda: False,
-        paths: Sequence[Path] = (),
+        paths: Sequence[Path | str] = (),
     ) -> Iterator[tuple[str, Result]]:
         """As `Workers.each`."""
         if items:
@@ -110,12 +110,12 @@ class _Order:
 class _DaskWorkers:
     """The pool of a scheduler's workers."""
 
-    def __init__(self, address: str, work: Work[Any, Any], paths: Sequence[Path]) -> None:
+    def __init__(self, address: str, work: Work[Any, Any], paths: Sequence[Path | str]) -> None:
         self._address, self._work = address, work
         self._client = _connected(address)
         self._token = uuid.uuid4().hex
         self._make_order = functools.partial(
-            _Order, self._token, version=version("foreglow"), folder=Path.cwd(), paths=tuple(paths)
+            _Order, self._token, version=version("foreglow"), folder=Path.cwd(), paths=tuple(map(Path, paths))
         )
         self._reports: deque[tuple[Any, ...]] = deque()
         self._client.subscribe_topic(self._token, lambda event: self._reports.append(tuple(event[1])))

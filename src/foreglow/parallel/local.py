@@ -63,7 +63,7 @@ class Local:
         progress: ProgressCallback,
         *,
         is_stopped: Callable[[], bool] = lambda: False,
-        paths: Sequence[Path] = (),  # noqa: ARG002  this machine has them
+        paths: Sequence[Path | str] = (),  # noqa: ARG002  this machine has them
     ) -> Iterator[tuple[str, Result]]:
         """As `Workers.each`."""
         if self.jobs > 1 and len(items) > 1:

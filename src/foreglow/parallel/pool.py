@@ -48,7 +48,7 @@ class Workers(Protocol):
         progress: ProgressCallback,
         *,
         is_stopped: Callable[[], bool] = lambda: False,
-        paths: Sequence[Path] = (),
+        paths: Sequence[Path | str] = (),
     ) -> Iterator[tuple[str, Result]]:
         """Calls `work` with every item, starting them in order, and yields each name and result as it is done.
 

@@ -41,7 +41,7 @@ class OutputFolder:
     as they were; it is called when a `with` block of the folder ends with an error.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | str) -> None:
         """Makes the folder `path` with its parents, checks it, and clears what a killed run left there.
 
         Raises:
@@ -49,6 +49,7 @@ class OutputFolder:
             ValueError: If something there has the name of a result, also the partial one, and is no file or not of a
                 run, or another run is writing into it.
         """
+        path = Path(path)
         self.path, self._home = path, path.absolute()  # a plug-in may go to another folder meanwhile
         self._partials: dict[str, Path] = {}
         self._parts: Path | None = None

@@ -39,7 +39,7 @@ class CanLogSink:
     """
 
     def __init__(
-        self, path: Path, *, suffix: str | None = None, ramp_s: float = RAMP_S, has_levels: bool = True
+        self, path: Path | str, *, suffix: str | None = None, ramp_s: float = RAMP_S, has_levels: bool = True
     ) -> None:
         """Opens the log.
 
@@ -54,6 +54,7 @@ class CanLogSink:
             ValueError: If there is no such format.
             OSError: If it cannot be written; the message names the path.
         """
+        path = Path(path)
         import can
 
         kind = (path.suffix if suffix is None else suffix).lower()

@@ -21,10 +21,14 @@ import onnx
 import torch
 
 from foreglow.classifier import OnnxClassifier
-from foreglow.config import ClassifierConfig
+from foreglow.classifier.learnt import learnt_proposals
+from foreglow.config import ClassifierConfig, config_to_toml, preset
 from foreglow.lab.learning import import_weights
 from foreglow.lab.learning.export import Layers
 from foreglow.lab.learning.folding import render_probes
+from foreglow.lab.studies.detector.rows import check_given
+from foreglow.lab.studies.paper_chain import paper_chain
+from foreglow.options import PipelineOptions
 from foreglow.types import Frame, Proposals
 from tests.lab.learning.networks import onnx_logits, random_network
 from tests.shared_data import shared_file
@@ -100,6 +104,48 @@ def test_metadata_and_figures(tmp_path: Path) -> None:
     assert layers.num_parameters == 941_761
 
 
+def test_the_model_judges_the_boxes_that_its_weights_have_learnt(tmp_path: Path) -> None:
+    """It ran on those of any preset, and nothing was said."""
+    model, training = tmp_path / "base.onnx", tmp_path / "training"
+    import_weights(save(tmp_path / "weights.pt"), model)
+    wanted = f"expected --preset baseline with --model {model}, which knows the boxes of these proposals only"
+    for name in (None, "paper"):
+        with pytest.raises(ValueError, match=re.escape(wanted)):
+            PipelineOptions(preset=name, model=model).configuration()
+    with pytest.raises(ValueError, match=re.escape(f"{model}: metadata: proposals: expected those of Paper's preset")):
+        paper_chain(model)
+    assert PipelineOptions(preset="baseline", model=model).configuration().classifier.model == model
+    check_given({"published": model})
+    own = tmp_path / "own.toml"
+    own.write_text("[proposals]\nkappa = 0.3\n")
+    assert PipelineOptions(config=own, model=model).configuration().proposals.kappa == 0.3
+    training.mkdir()
+    weights = save(training / "weights.pt")
+    (training / "recipe.toml").write_text("")
+    (training / "config.toml").write_text(config_to_toml(preset("foreglow").changed("proposals", kappa=0.3)))
+    import_weights(weights, model)
+    with pytest.raises(ValueError, match="expected a --config of its training's proposals with --model"):
+        PipelineOptions(model=model).configuration()
+    assert learnt_proposals(model) == preset("foreglow").changed("proposals", kappa=0.3).proposals
+
+
+def test_a_model_that_says_nothing_usable_of_its_boxes(tmp_path: Path) -> None:
+    model = tmp_path / "model.onnx"
+    import_weights(save(tmp_path / "weights.pt"), model)
+    for text, message in (("{", "expected those of `import-weights`, as JSON"), ('{"kapa": 1}', "kapa: unknown")):
+        proto = onnx.load(model)
+        onnx.helper.set_model_props(proto, {"proposals": text})
+        onnx.save(proto, tmp_path / "other.onnx")
+        with pytest.raises(ValueError, match=rf"other\.onnx: metadata: proposals: {message}"):
+            PipelineOptions(model=tmp_path / "other.onnx").configuration()
+    proto = onnx.load(model)
+    onnx.helper.set_model_props(proto, {})
+    onnx.save(proto, tmp_path / "older.onnx")
+    (tmp_path / "broken.onnx").write_bytes(b"\xff" * 20)
+    for name in ("older", "broken", "none"):
+        assert learnt_proposals(tmp_path / f"{name}.onnx") is None
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -144,6 +190,8 @@ def test_a_wrong_bit_in_the_former_format_is_told(tmp_path: Path) -> None:
 def test_missing_weights(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such file of weights"):
         import_weights(tmp_path / "none.pt", tmp_path / "model.onnx")
+    with pytest.raises(ValueError, match="expected a file, is a folder"):
+        import_weights(tmp_path, tmp_path / "model.onnx")
 
 
 @pytest.mark.parametrize("content", [b"", b"not weights at all", bytes(300)])

@@ -281,8 +281,9 @@ class Recording(FileSource):
         return 1e9 / statistics.median(steps_ns) if steps_ns else None
 
 
-def is_recording(path: Path) -> bool:
+def is_recording(path: Path | str) -> bool:
     """Whether `path` is a recording by its name, or a ROS 2 bag by its metadata."""
+    path = Path(path)
     return (path / METADATA).is_file() if path.is_dir() else _ending(path) in CONTAINERS
 
 

@@ -54,8 +54,9 @@ LABEL_FORMATS: dict[str, LabelFormat] = {
 """The formats by name; a file has the first whose ending and beginning it has."""
 
 
-def label_format_of(path: Path) -> str | None:
+def label_format_of(path: Path | str) -> str | None:
     """The name of the format of the file at `path`; None if it is none of them."""
+    path = Path(path)
     if path.suffix.lower() not in (".xml", ".json") or not path.is_file():
         return None
     with path.open("rb") as file:
@@ -70,18 +71,19 @@ def label_format_of(path: Path) -> str | None:
     )
 
 
-def is_labels(path: Path) -> bool:
+def is_labels(path: Path | str) -> bool:
     """Whether `path` is a file of an annotation tool, by its ending and its beginning."""
     return label_format_of(path) is not None
 
 
-def read_labels_file(path: Path) -> LabelSet:
+def read_labels_file(path: Path | str) -> LabelSet:
     """The labels in the file at `path`.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it has none of the formats, or is broken.
     """
+    path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file, expected labels of CVAT, COCO or Label Studio")
     name = label_format_of(path)

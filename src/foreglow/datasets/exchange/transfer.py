@@ -176,12 +176,13 @@ def _name_of(frame: Frame, frames: FrameSource) -> str:
     return Path(frame.path).name if isinstance(frames, ImageFolder) else f"frame_{frame.frame:06d}.png"
 
 
-def check_target(path: Path, name: str) -> None:
+def check_target(path: Path | str, name: str) -> None:
     """Passes a format and a file that has its ending, so that it can be read again.
 
     Raises:
         ValueError: If there is no such format, the ending is another, or labels in another format are there.
     """
+    path = Path(path)
     if name not in LABEL_FORMATS:
         raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
     if path.suffix.lower() != LABEL_FORMATS[name].suffix:
@@ -191,13 +192,14 @@ def check_target(path: Path, name: str) -> None:
         raise ValueError(f"{path}: expected nothing there but labels as {name}, got {there}; choose another name")
 
 
-def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool = False) -> Counter[str]:
+def write_labels_file(path: Path | str, labels: LabelSet, name: str, *, is_guess: bool = False) -> Counter[str]:
     """Writes labels in the format called `name`, whole or not at all; returns what was lost on the whole way.
 
     Raises:
         ValueError: If there is no such format, the ending is another, or it cannot take these labels.
         OSError: If the file cannot be written.
     """
+    path = Path(path)
     check_target(path, name)
     form = LABEL_FORMATS[name]
     if form.has_names:
@@ -213,7 +215,7 @@ def write_labels_file(path: Path, labels: LabelSet, name: str, *, is_guess: bool
     return Counter(labels.lost) + lost
 
 
-def write_split(dataset: LabelledSource, root: Path, origins: Sequence[Origin] = ()) -> int:
+def write_split(dataset: LabelledSource, root: Path | str, origins: Sequence[Origin] = ()) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 
     Images and labels appear when all are written; what a killed process has left of them is removed by the next one.
@@ -228,6 +230,7 @@ def write_split(dataset: LabelledSource, root: Path, origins: Sequence[Origin] =
             writing into it.
         OSError: If a file cannot be read or written.
     """
+    root = Path(root)
     with FolderLock(root):
         check_new_split(root)
         hidden = root / _HIDDEN

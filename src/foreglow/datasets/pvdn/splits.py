@@ -58,15 +58,17 @@ def split_in(data: Path | str, name: SplitName) -> Path:
     return Path(data) if is_split(Path(data)) else split_folder(data, name)
 
 
-def is_split(folder: Path) -> bool:
+def is_split(folder: Path | str) -> bool:
     """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or both images and the other label file."""
+    folder = Path(folder)
     return (folder / "labels" / "sequences.json").exists() or (
         (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
     )
 
 
-def is_pvdn(path: Path) -> bool:
+def is_pvdn(path: Path | str) -> bool:
     """Whether `path` is a split, one of its sequences, or a folder with splits one or two levels below."""
+    path = Path(path)
     return path.is_dir() and bool(is_split(path) or splits_below(path) or _split_of_sequence(path))
 
 

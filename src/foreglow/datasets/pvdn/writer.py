@@ -90,7 +90,9 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
     1
     """
 
-    def __init__(self, root: Path | str, *, info: Mapping[str, Any] | None = None, name: Path | None = None) -> None:
+    def __init__(
+        self, root: Path | str, *, info: Mapping[str, Any] | None = None, name: Path | str | None = None
+    ) -> None:
         """Makes the split's folders.
 
         Args:
@@ -104,7 +106,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
         """
         self.root = Path(root)
         _make_folders(self.root)
-        self._name = name or self.root
+        self._name = Path(name or self.root)
         self._info = dict(info or {})
         self._sequences: list[Sequence] = []
         self._images: dict[int, ImageRecord] = {}

@@ -222,8 +222,9 @@ class SimulatedTruth:
         sequence_ids: The finished sequences, in order.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path | str) -> None:
         """Reads `info.json` and lists the sequences."""
+        root = Path(root)
         self.root = root
         self.info = read_info(root)
         self.sequence_ids = finished_sequences(root)
@@ -299,8 +300,9 @@ def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
     )
 
 
-def has_truth(root: Path) -> bool:
+def has_truth(root: Path | str) -> bool:
     """Whether the split in the folder `root` is simulated, also one that has lost its `info.json`."""
+    root = Path(root)
     return _info_path(root).exists() or any((root / "simulation").glob("S[0-9]*/frames.jsonl"))
 
 
@@ -314,8 +316,9 @@ def sequence_folder(root: Path, sequence_id: int) -> Path:
     return root / "simulation" / sequence_name(sequence_id)
 
 
-def shares_path(root: Path, sequence_id: int) -> Path:
+def shares_path(root: Path | str, sequence_id: int) -> Path:
     """The file that says whose light is in the proposals of a sequence; only some data sets have it."""
+    root = Path(root)
     return sequence_folder(root, sequence_id) / SHARES_FILE
 
 

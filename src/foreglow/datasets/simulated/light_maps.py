@@ -60,7 +60,7 @@ def light_map_path(sequence: Path, image_id: int) -> Path:
     return sequence / "light" / f"{image_id:06d}.png"
 
 
-def read_light_map(path: Path) -> NDArray[np.float32]:
+def read_light_map(path: Path | str) -> NDArray[np.float32]:
     """Light in cells, shape (6, h, w), cd/m², in the order of `SOURCES`.
 
     Raises:

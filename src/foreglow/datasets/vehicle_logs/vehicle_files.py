@@ -165,8 +165,8 @@ class VehicleFiles(VehicleData):
 def open_vehicle_data(
     calibration: Path | str | None = None,
     can_log: Path | str | None = None,
-    dbc: Path | None = None,
-    mapping: Path | None = None,
+    dbc: Path | str | None = None,
+    mapping: Path | str | None = None,
     road_map: Path | str | None = None,
     poses: Path | str | None = None,
     *,

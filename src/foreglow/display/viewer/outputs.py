@@ -82,13 +82,14 @@ class RrdFile:
     whoever flushes or ends the recording waits for ever.
     """
 
-    def __init__(self, path: Path, blueprint: Blueprint) -> None:
+    def __init__(self, path: Path | str, blueprint: Blueprint) -> None:
         """Opens the file.
 
         Raises:
             OSError: If it cannot be written; the message names the path.
             ValueError: If the path does not end in `.rrd`.
         """
+        path = Path(path)
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         self._path = path

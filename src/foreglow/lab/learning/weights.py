@@ -14,14 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.classifier.learnt import PROPOSALS, proposals_text
 from foreglow.classifier.session import open_session
+from foreglow.config import ProposalConfig, preset
 from foreglow.lab.learning.export import SIZE_PX, Layers, layers_from_state, write_onnx
 from foreglow.lab.learning.kept_files import UnreadableError, read_torch_file
+from foreglow.lab.learning.training_run import MODEL, RECIPE, WEIGHTS, training_configuration
 from foreglow.plugins import words_of
 
 
-def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layers:
+def import_weights(weights: Path | str, out: Path | str, fold: float | None = None) -> Layers:
     """Writes the published classifier as an ONNX model that `foreglow.classifier` reads, and returns its layers.
+
+    The model says which boxes it knows: those of the preset `baseline`, or for weights in the folder of a training
+    those of that training.
 
     Args:
         weights: A state dict of `networks.ArtifactNetwork`, as written by `torch.save`.
@@ -34,6 +40,7 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layer
             computes is not finite; or the tolerance is not in [0, 1). The message names path, field and expectation.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
+    weights, out = Path(weights), Path(out)
     if fold is not None and not 0 <= fold < 1:
         raise ValueError(f"fold: expected a tolerance of at least 0 and below 1, got {fold}")
     if not out.parent.is_dir():
@@ -50,9 +57,24 @@ def import_weights(weights: Path, out: Path, fold: float | None = None) -> Layer
         "foreglow_version": version("foreglow"),
         "fold_tolerance": "none" if fold is None else repr(float(fold)),
         "source_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        PROPOSALS: proposals_text(_learnt_proposals(weights)),
     }
     write_onnx(layers, out, metadata)
     return layers
+
+
+def _learnt_proposals(weights: Path) -> ProposalConfig:
+    """Those of the training that the weights lie in, or else of the published code, by whose boxes the published
+    weights were trained.
+
+    Raises:
+        ValueError: If the configuration of that training is broken.
+    """
+    if weights.name == WEIGHTS and weights.with_name(RECIPE).is_file():
+        trained = training_configuration(weights.with_name(MODEL))
+        if trained is not None:
+            return trained.proposals
+    return preset("baseline").proposals
 
 
 def _check_logits(weights: Path, layers: Layers) -> None:
@@ -81,7 +103,7 @@ def read_state(path: Path) -> dict[str, NDArray[Any]]:
         ValueError: If it is damaged, or not a state dict of this network with finite values.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file of weights")
     try:
         import onnx  # noqa: F401  (fails early if it is missing)

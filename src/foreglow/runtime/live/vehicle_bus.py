@@ -28,7 +28,7 @@ class VehicleBus:
         num_broken: CAN frames that did not match the DBC.
     """
 
-    def __init__(self, channel: str, dbc: Path | None = None, mapping: Path | None = None) -> None:
+    def __init__(self, channel: str, dbc: Path | str | None = None, mapping: Path | str | None = None) -> None:
         """Opens the bus and begins to listen.
 
         Args:

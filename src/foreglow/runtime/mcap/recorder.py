@@ -53,7 +53,7 @@ class McapRecorder(KeepingSink):
     it, for runs that can be repeated.
     """
 
-    def __init__(self, path: Path, *, config: PipelineConfig | None = None, source_name: str = "") -> None:
+    def __init__(self, path: Path | str, *, config: PipelineConfig | None = None, source_name: str = "") -> None:
         """Creates the file.
 
         Args:

@@ -120,7 +120,7 @@ class RecordingFile:
         num_kept: Frames that are on the disk.
     """
 
-    def __init__(self, path: Path, config: PipelineConfig | None, source_name: str, profile: str = "") -> None:
+    def __init__(self, path: Path | str, config: PipelineConfig | None, source_name: str, profile: str = "") -> None:
         """Creates the file.
 
         Args:
@@ -134,6 +134,7 @@ class RecordingFile:
             ValueError: If the path does not end in `.mcap`, what is there is no file, or another run is recording into
                 it.
         """
+        path = Path(path)
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         check_replaceable(path)

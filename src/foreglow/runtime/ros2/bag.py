@@ -35,7 +35,7 @@ class BagRecorder(KeepingSink):
     The file is `.partial` until it is complete, as every recording.
     """
 
-    def __init__(self, path: Path, *, config: PipelineConfig | None = None, source_name: str = "") -> None:
+    def __init__(self, path: Path | str, *, config: PipelineConfig | None = None, source_name: str = "") -> None:
         """Creates the file.
 
         Args:

@@ -107,7 +107,7 @@ class Tuning:
 
 def tune(
     data: Path | str,
-    out: Path,
+    out: Path | str,
     settings: TuningSettings,
     progress: Progress | None = None,
     *,
@@ -128,6 +128,7 @@ def tune(
             was written.
         KeyboardInterrupt: On Ctrl-C; finished trials are kept.
     """
+    out = Path(out)
     import optuna  # noqa: F401  before anything is decoded
 
     check_as_written(out, RESULTS)

@@ -75,8 +75,8 @@ class YoloExport:
 
 
 def export_yolo(
-    data: Path,
-    folder: Path,
+    data: Path | str,
+    folder: Path | str,
     *,
     preset_name: str | None = None,
     size_px: int = PAPER_SIZE_PX,
@@ -107,6 +107,7 @@ def export_yolo(
             export, a file of it was changed since, an image was added, or another run is writing into it.
         OSError: If the disk is full; the message names the file.
     """
+    data, folder = Path(data), Path(folder)
     for name in splits:
         check_one_of(name, SPLIT_NAMES, "splits")
     if not data.is_dir():

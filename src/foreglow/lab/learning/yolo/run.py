@@ -97,7 +97,12 @@ class YoloPredictions:
 
 
 def train_yolo(
-    data: Path, folder: Path, config: YoloConfig, *, preset_name: str | None = None, progress: Progress | None = None
+    data: Path | str,
+    folder: Path | str,
+    config: YoloConfig,
+    *,
+    preset_name: str | None = None,
+    progress: Progress | None = None,
 ) -> YoloRun:
     """Trains a YOLO on the boxes of `data`, or continues an interrupted training in `folder`.
 
@@ -114,6 +119,7 @@ def train_yolo(
             settings.
         ModuleNotFoundError: If the library is not installed.
     """
+    data, folder = Path(data), Path(folder)
     _check_own(folder)
     backend = BACKENDS[config.backend]()
     backend.check(config)
@@ -177,13 +183,14 @@ def _check_own(folder: Path) -> None:
             )
 
 
-def read_yolo_run(folder: Path) -> YoloRun:
+def read_yolo_run(folder: Path | str) -> YoloRun:
     """The finished run in `folder`.
 
     Raises:
         FileNotFoundError: If there is none, or it is not finished.
         ValueError: If a file of it is broken.
     """
+    folder = Path(folder)
     for name in (CONFIG_NAME, RESULTS_NAME):
         if not (folder / name).is_file():
             raise FileNotFoundError(f"{folder / name}: no such file, expected a finished run of `yolo train`")

@@ -422,13 +422,14 @@ class Scene(SpecModel):
         return number // 2 * 2 / self.rate_hz + number % 2 * self.pair_s
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path | str) -> Scene:
     """The scene in the TOML file `path`; fields that it does not mention have their defaults.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
     """
+    path = Path(path)
     return validated(Scene, read_toml(path), str(path))
 
 

@@ -181,6 +181,9 @@ class Target:
     out: Path
     config: DatasetConfig
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "out", Path(self.out))  # a text will do
+
     @property
     def root(self) -> Path:
         """The split's folder."""

@@ -51,7 +51,7 @@ def command(
     from foreglow.display.progress import StepProgress
     from foreglow.lab.learning.training_progress import TrainingBar
     from foreglow.lab.studies.detector.page import pictures, write_report
-    from foreglow.lab.studies.detector.rows import ROWS, DetectorPlan
+    from foreglow.lab.studies.detector.rows import ROWS, DetectorPlan, missing_reason
     from foreglow.lab.studies.detector.run import run_experiment
     from foreglow.lab.studies.reproduction.claims import beside_paper
     from foreglow.models import model_path
@@ -81,6 +81,10 @@ def command(
         device=device,
         white_level=white_level,
     )
+    reasons = {name: missing_reason(name, plan) for name in plan.rows}
+    if all(reasons.values()):
+        name, reason = next(iter(reasons.items()))
+        raise ValueError(f"rows: expected one whose model is given or trained, got none: {name}: {reason}")
     with StepProgress() as progress, TrainingBar() as training:
 
         def show(step: str, num_done: int, num_all: int) -> None:

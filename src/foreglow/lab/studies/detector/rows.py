@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from foreglow.checksums import CHECKSUMS
 from foreglow.classifier import OnnxClassifier
+from foreglow.classifier.learnt import learnt_proposals
 from foreglow.config import ClassifierConfig, PipelineConfig, preset
 from foreglow.datasets import SplitName, open_labelled, split_folder
 from foreglow.files import file_digest, read_plain_json
@@ -293,18 +294,19 @@ def _configuration(given: Path, spec: RowSpec) -> PipelineConfig:
 
     Raises:
         FileNotFoundError: If such a folder has none.
-        ValueError: If a model was trained on other boxes, as far as its training's folder tells.
+        ValueError: If a model was trained on other boxes, as far as it or its training's folder tells.
     """
-    wanted = spec.configuration
-    trained = training_configuration(_model_file(given, spec.kind), wanted)
+    wanted, file = spec.configuration, _model_file(given, spec.kind)
+    learnt = learnt_proposals(file)
+    if learnt is not None and learnt != wanted.proposals:
+        raise ValueError(f"{file}: metadata: proposals: expected those of {spec.title}")
+    trained = training_configuration(file, wanted)
     if trained is None:
         if given.is_dir():
             raise FileNotFoundError(f"{given / CONFIG}: no such file, expected a finished training")
         return wanted
     if trained.proposals.model_dump() != wanted.proposals.model_dump():
-        raise ValueError(
-            f"{_model_file(given, spec.kind).with_name(CONFIG)}: proposals: expected those of {spec.title}"
-        )
+        raise ValueError(f"{file.with_name(CONFIG)}: proposals: expected those of {spec.title}")
     return trained if given.is_dir() else wanted
 
 
