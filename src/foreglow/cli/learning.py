@@ -439,7 +439,7 @@ def import_weights(
         ),
     ] = None,
 ) -> None:
-    """Turn the published PVDN classifier into an ONNX model for `run --model`."""
+    """Turn the published PVDN classifier into an ONNX model for `run --preset baseline --model`."""
     from foreglow.lab.learning import import_weights
 
     layers = import_weights(weights, out, fold)
