@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
@@ -52,9 +53,18 @@ class TimeOrder:
         if timestamp_ns < latest_ns - RESTART_NS:
             self.sequence = f"frame {index}"
         elif timestamp_ns < latest_ns:
-            expected = f"expected a time from {latest_ns / 1e9:.6g} s on, that of the frame before"
-            raise ValueError(f"{expected}, got {timestamp_ns / 1e9:.6g} s")
+            expected = f"expected a time from {_seconds(latest_ns)} s on, that of the frame before"
+            raise ValueError(f"{expected}, got {_seconds(timestamp_ns)} s")
         self.latest, self._has_begun = (index, timestamp_ns), True
+
+
+def _seconds(time_ns: int) -> str:
+    """All digits, as those that differ may be the last ones of many.
+
+    >>> _seconds(1_700_000_000_050_000_000), _seconds(0)
+    ('1700000000.05', '0')
+    """
+    return f"{Decimal(time_ns).scaleb(-9).normalize():f}"
 
 
 class FrameSource(Protocol):
@@ -93,8 +103,8 @@ class FileSource:
             frames.
         on_error: What a bad frame does.
         topic: The topic of a recording that is read; None of other sources.
-        lack: A line about what was to be in it and is not, as it says itself: a recording that was interrupted, or that
-            was never finished. Empty of all others.
+        lack: A line about what was to be in it and is not, as it says itself or shows: a recording that was
+            interrupted, that was never finished, or whose end is missing. Empty of all others.
         unread_end: Those lines of `skipped` that are about the latest images of the latest iteration, where none could
             be read since: at its end the source ended before its last image, as where its folder was removed.
     """
