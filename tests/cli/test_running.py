@@ -59,6 +59,11 @@ def test_images_in_folders_below_are_told(command: str, tmp_path: Path, folder: 
     line = f"{folder}: images in folders below it are not read: 'A', 'B', 'deep'; run each by itself"
     assert line in said.stdout.splitlines()
     assert "3 frames" in said.stdout
+    for image in folder.glob("*.png"):
+        image.unlink()
+    said = foreglow_command(command, folder, *options)
+    assert said.exit_code == 2
+    assert "found none but in folders below it: 'A', 'B', 'deep'; run each by itself" in said.stderr
     assert "not read" not in foreglow_command(command, folder / "A", *options).stdout
 
 
