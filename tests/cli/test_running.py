@@ -388,6 +388,14 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
         assert ((told in result.stdout), (few in result.stdout)) == (is_told, is_few)
 
 
+def with_poses(folder: Path, times_s: tuple[float, ...]) -> tuple[str | Path, ...]:
+    road, poses = folder / "road.geojson", folder / "drive.csv"
+    road.write_text(json.dumps({"type": "LineString", "coordinates": [[9.0, 48.0], [9.0, 48.1]]}))
+    rows = [f"{time_s},48.05,9.0,0.0" for time_s in times_s]
+    poses.write_text("\n".join(["timestamp_s,lat_deg,lon_deg,heading_deg", *rows]))
+    return "--map", road, "--poses", poses
+
+
 @pytest.mark.parametrize(
     ("times_s", "offset_s", "num_known"),
     [((0.0, 0.1, 0.2), 0, 3), ((0.0, 100.0, 200.0), 0, 1), ((0.0, 0.06), 0, 2), ((0.0, 0.1, 0.2), 100, 0)],
@@ -396,17 +404,25 @@ def test_poses_of_few_frames_are_told(
     times_s: tuple[float, ...], offset_s: float, num_known: int, tmp_path: Path, folder: Path, config: Path
 ) -> None:
     """Such as those whose times are milliseconds, or that end early: the road was unknown with nothing said."""
-    road, poses = tmp_path / "road.geojson", tmp_path / "drive.csv"
-    road.write_text(json.dumps({"type": "LineString", "coordinates": [[9.0, 48.0], [9.0, 48.1]]}))
-    rows = [f"{time_s},48.05,9.0,0.0" for time_s in times_s]
-    poses.write_text("\n".join(["timestamp_s,lat_deg,lon_deg,heading_deg", *rows]))
-    words = ("run", folder, "--preset", "paper", "--config", config, "--map", road, "--poses", poses)
-    result = foreglow_command(*words, "--out", tmp_path / "out", "--time-offset", offset_s)
+    given = (*with_poses(tmp_path, times_s), "--time-offset", offset_s)
+    result = foreglow_command("run", folder, "--preset", "paper", "--config", config, *given, "--out", tmp_path / "out")
+    poses = tmp_path / "drive.csv"
     assert result.exit_code == 0, result.output
     assert read_summary(tmp_path / "out" / "summary.json").num_with_road == num_known
     few = f"{poses}: the road is known in {num_known} of 3 frames: the poses begin later, end earlier (--time-offset)"
     assert (few in result.stdout) is (num_known in (1, 2))
     assert (f"{poses} says nothing of any frame" in result.stdout) is (num_known == 0)
+
+
+def test_a_log_of_another_time_beside_poses_is_told(tmp_path: Path, folder: Path, config: Path) -> None:
+    """The roads of the poses were taken for what it says."""
+    pytest.importorskip("can")
+    log = tmp_path / "drive.log"
+    write_can_log(log, [], [(100_000_000_000 + k * 10_000_000, EgoMotion(20.0, 0.0)) for k in range(50)])
+    given = (*with_poses(tmp_path, (0.0, 0.1, 0.2)), "--can-log", log)
+    result = foreglow_command("run", folder, "--preset", "paper", "--config", config, *given, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert f"{log}: our motion is known in 0 of 3 frames, and at most 0.5 s after a message" in result.stdout
 
 
 def test_images_that_are_missing_are_told(tmp_path: Path, folder: Path, config: Path) -> None:

@@ -105,14 +105,15 @@ def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
     And one where a log leaves the speed of many frames unknown, or poses leave the road of many, which street messages
     of the log do not tell either: these are not sent everywhere, so that a log without poses may leave it unknown.
     """
-    num_moving = summary.num_with_motion or 0
-    counts = {vehicle.can_log: num_moving + (summary.num_with_road or 0), vehicle.poses: summary.num_with_road}
+    num_moving, num_with_road = summary.num_with_motion or 0, summary.num_with_road or 0
+    counts = {vehicle.can_log: num_moving + num_with_road, vehicle.poses: num_with_road}
     lines = [
         f"{path} says nothing of any frame: expected data of their times (--time-offset)"
         for path, count in counts.items()
         if path is not None and not count
     ]
-    if vehicle.can_log is not None and 0 < num_moving < MOST_FRAMES * summary.num_frames:
+    has_said = num_moving > 0 or (vehicle.poses is not None and num_with_road > 0)  # those roads may be the poses' own
+    if vehicle.can_log is not None and has_said and num_moving < MOST_FRAMES * summary.num_frames:
         from foreglow.datasets.vehicle_logs.can_log import MOTION_STALE_S
 
         lines.append(
@@ -120,7 +121,6 @@ def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
             f"{MOTION_STALE_S:g} s after a message: it begins later, ends earlier (--time-offset), or tells it less "
             "often"
         )
-    num_with_road = summary.num_with_road or 0
     if vehicle.poses is not None and 0 < num_with_road < MOST_FRAMES * summary.num_frames:
         from foreglow.maps.poses import MAX_GAP_S
 
