@@ -414,6 +414,14 @@ def test_poses_of_few_frames_are_told(
     assert (f"{poses} says nothing of any frame" in result.stdout) is (num_known == 0)
 
 
+@pytest.mark.slow
+def test_a_replay_tells_it_as_a_run_does(tmp_path: Path, folder: Path) -> None:
+    given = with_poses(tmp_path, (0.0, 100.0, 200.0))
+    result = foreglow_command("live", folder, "--speed", 0, *given)
+    assert result.exit_code == 0, result.output
+    assert f"{tmp_path / 'drive.csv'}: the road is known in 1 of 3 frames" in result.stdout
+
+
 def test_a_log_of_another_time_beside_poses_is_told(tmp_path: Path, folder: Path, config: Path) -> None:
     """The roads of the poses were taken for what it says."""
     pytest.importorskip("can")

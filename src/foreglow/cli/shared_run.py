@@ -110,7 +110,7 @@ def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
     lines = [
         f"{path} says nothing of any frame: expected data of their times (--time-offset)"
         for path, count in counts.items()
-        if path is not None and not count
+        if path is not None and not count and summary.num_frames
     ]
     has_said = num_moving > 0 or (vehicle.poses is not None and num_with_road > 0)  # those roads may be the poses' own
     if vehicle.can_log is not None and has_said and num_moving < MOST_FRAMES * summary.num_frames:
