@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from decimal import Decimal
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
 from foreglow.types import Frame
-from foreglow.wording import check_one_of
+from foreglow.wording import check_one_of, exact_seconds
 
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
 """What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does
@@ -53,18 +52,9 @@ class TimeOrder:
         if timestamp_ns < latest_ns - RESTART_NS:
             self.sequence = f"frame {index}"
         elif timestamp_ns < latest_ns:
-            expected = f"expected a time from {_seconds(latest_ns)} s on, that of the frame before"
-            raise ValueError(f"{expected}, got {_seconds(timestamp_ns)} s")
+            expected = f"expected a time from {exact_seconds(latest_ns)} s on, that of the frame before"
+            raise ValueError(f"{expected}, got {exact_seconds(timestamp_ns)} s")
         self.latest, self._has_begun = (index, timestamp_ns), True
-
-
-def _seconds(time_ns: int) -> str:
-    """All digits, as those that differ may be the last ones of many.
-
-    >>> _seconds(1_700_000_000_050_000_000), _seconds(0)
-    ('1700000000.05', '0')
-    """
-    return f"{Decimal(time_ns).scaleb(-9).normalize():f}"
 
 
 class FrameSource(Protocol):
