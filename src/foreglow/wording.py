@@ -1,9 +1,10 @@
-"""Words that messages share: a value at a sane length, and what was expected of a text."""
+"""Words that messages share: a value at a sane length, an exact time, and what was expected of a text."""
 
 from __future__ import annotations
 
 import re
 import reprlib
+from decimal import Decimal
 from typing import Any, get_args
 
 
@@ -54,6 +55,15 @@ def csv_words(error: Exception) -> str:
     """
     words = str(error)
     return "a carriage return within a line" if words.startswith("new-line character seen") else words
+
+
+def exact_seconds(time_ns: int) -> str:
+    """A time in seconds, with all digits, as those that differ may be the last ones of many.
+
+    >>> exact_seconds(1_700_000_000_050_000_000), exact_seconds(0)
+    ('1700000000.05', '0')
+    """
+    return f"{Decimal(time_ns).scaleb(-9).normalize():f}"
 
 
 def check_one_of(value: object, choices: Any, field: str) -> None:

@@ -60,6 +60,11 @@ def test_images_in_folders_below_are_told(command: str, tmp_path: Path, folder: 
     line = f"{folder}: images in folders below it are not read: 'A', 'B', 'deep'; run each by itself"
     assert line in said.stdout.splitlines()
     assert "3 frames" in said.stdout
+    for image in folder.glob("*.png"):
+        image.unlink()
+    said = foreglow_command(command, folder, *options)
+    assert said.exit_code == 2
+    assert "found none but in folders below it: 'A', 'B', 'deep'; run each by itself" in said.stderr
     assert "not read" not in foreglow_command(command, folder / "A", *options).stdout
 
 
@@ -399,6 +404,51 @@ def test_a_log_of_another_time_is_told(tmp_path: Path, folder: Path, config: Pat
         result = foreglow_command(*words, "--out", tmp_path / f"{number}", "--time-offset", offset_s)
         assert result.exit_code == 0, result.output
         assert ((told in result.stdout), (few in result.stdout)) == (is_told, is_few)
+
+
+def with_poses(folder: Path, times_s: tuple[float, ...]) -> tuple[str | Path, ...]:
+    road, poses = folder / "road.geojson", folder / "drive.csv"
+    road.write_text(json.dumps({"type": "LineString", "coordinates": [[9.0, 48.0], [9.0, 48.1]]}))
+    rows = [f"{time_s},48.05,9.0,0.0" for time_s in times_s]
+    poses.write_text("\n".join(["timestamp_s,lat_deg,lon_deg,heading_deg", *rows]))
+    return "--map", road, "--poses", poses
+
+
+@pytest.mark.parametrize(
+    ("times_s", "offset_s", "num_known"),
+    [((0.0, 0.1, 0.2), 0, 3), ((0.0, 100.0, 200.0), 0, 1), ((0.0, 0.06), 0, 2), ((0.0, 0.1, 0.2), 100, 0)],
+)
+def test_poses_of_few_frames_are_told(
+    times_s: tuple[float, ...], offset_s: float, num_known: int, tmp_path: Path, folder: Path, config: Path
+) -> None:
+    """Such as those whose times are milliseconds, or that end early: the road was unknown with nothing said."""
+    given = (*with_poses(tmp_path, times_s), "--time-offset", offset_s)
+    result = foreglow_command("run", folder, "--preset", "paper", "--config", config, *given, "--out", tmp_path / "out")
+    poses = tmp_path / "drive.csv"
+    assert result.exit_code == 0, result.output
+    assert read_summary(tmp_path / "out" / "summary.json").num_with_road == num_known
+    few = f"{poses}: the road is known in {num_known} of 3 frames: the poses begin later, end earlier (--time-offset)"
+    assert (few in result.stdout) is (num_known in (1, 2))
+    assert (f"{poses} says nothing of any frame" in result.stdout) is (num_known == 0)
+
+
+@pytest.mark.slow
+def test_a_replay_tells_it_as_a_run_does(tmp_path: Path, folder: Path) -> None:
+    given = with_poses(tmp_path, (0.0, 100.0, 200.0))
+    result = foreglow_command("live", folder, "--speed", 0, *given)
+    assert result.exit_code == 0, result.output
+    assert f"{tmp_path / 'drive.csv'}: the road is known in 1 of 3 frames" in result.stdout
+
+
+def test_a_log_of_another_time_beside_poses_is_told(tmp_path: Path, folder: Path, config: Path) -> None:
+    """The roads of the poses were taken for what it says."""
+    pytest.importorskip("can")
+    log = tmp_path / "drive.log"
+    write_can_log(log, [], [(100_000_000_000 + k * 10_000_000, EgoMotion(20.0, 0.0)) for k in range(50)])
+    given = (*with_poses(tmp_path, (0.0, 0.1, 0.2)), "--can-log", log)
+    result = foreglow_command("run", folder, "--preset", "paper", "--config", config, *given, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert f"{log}: our motion is known in 0 of 3 frames, and at most 0.5 s after a message" in result.stdout
 
 
 def test_images_that_are_missing_are_told(tmp_path: Path, folder: Path, config: Path) -> None:

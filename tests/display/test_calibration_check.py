@@ -32,6 +32,15 @@ def dark(width_px: int = 1280, height_px: int = 960) -> Image:
     return np.full((height_px, width_px), 20, np.uint8)
 
 
+@pytest.mark.parametrize("yaw_deg", [90.0, 180.0])
+def test_a_camera_that_looks_elsewhere(yaw_deg: float) -> None:
+    """The words were of a column nan."""
+    lines = check_lines(turned(yaw_deg))
+    assert "vanishing at   no pixel in or near the image" in lines
+    assert "warning: the camera does not look along the drive, which is behind it or far outside the image" in lines
+    assert not any("nan" in line for line in lines)
+
+
 def test_figures_of_a_level_camera() -> None:
     figures = CameraFigures.of(LEVEL)
     assert figures.vanishing_px == pytest.approx((640.0, 480.0))

@@ -13,7 +13,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
-from foreglow.cli.shared_run import recording_sinks, source_notes, viewer_sinks
+from foreglow.cli.shared_run import recording_sinks, source_notes, unused_lines, viewer_sinks
 from foreglow.command_line import argument, folder, option, output_file, refuse_unused, with_options
 from foreglow.options import (
     RECORD_HELP,
@@ -135,7 +135,8 @@ def live(
             yield from viewer_sinks(viewer, configuration, opened.lux if isinstance(opened, ClosedLoop) else None)
 
         summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)
-    _finish(summary, out, error, source_notes(opened.source) if isinstance(opened, Paced) else ())
+    notes = source_notes(opened.source) if isinstance(opened, Paced) else []
+    _finish(summary, out, error, [*notes, *unused_lines(vehicle, summary.run)])
 
 
 def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:
@@ -207,7 +208,7 @@ def _run(
 
 
 def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None, notes: Sequence[str]) -> None:
-    """Prints what came of the run, and what was assumed of its source.
+    """Prints what came of the run, and what is to be said of its source and of the car's data.
 
     Exits with 130 if it was interrupted, with 2 if it or a sink failed.
     """

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from foreglow.runtime.health import LiveSink
 
 MOST_FRAMES = 0.9
-"""A log that tells our motion in so many frames of a run is as ever: one begins or ends a little before the other."""
+"""A log or poses that say something of so many frames of a run are as ever: one begins or ends a little before the
+other."""
 
 BY_CONFIGURATION = "the configuration says so ([guard] white_level)"
 BY_OPTION = "--white-level says so"
@@ -98,22 +99,31 @@ def say_lack(run: Path, num_frames: int | None = None) -> bool:
 def unused_lines(vehicle: VehicleOptions, summary: RunSummary) -> list[str]:
     """A line for each file with data of the car that said nothing of any frame of the run: its clock may be another.
 
-    And one where a log leaves the speed of many frames unknown.
+    And one where a log leaves the speed of many frames unknown, or poses leave the road of many, which street messages
+    of the log do not tell either: these are not sent everywhere, so that a log without poses may leave it unknown.
     """
-    num_moving = summary.num_with_motion or 0
-    counts = {vehicle.can_log: num_moving + (summary.num_with_road or 0), vehicle.poses: summary.num_with_road}
+    num_moving, num_with_road = summary.num_with_motion or 0, summary.num_with_road or 0
+    counts = {vehicle.can_log: num_moving + num_with_road, vehicle.poses: num_with_road}
     lines = [
         f"{path} says nothing of any frame: expected data of their times (--time-offset)"
         for path, count in counts.items()
-        if path is not None and not count
+        if path is not None and not count and summary.num_frames
     ]
-    if vehicle.can_log is not None and 0 < num_moving < MOST_FRAMES * summary.num_frames:
+    has_said = num_moving > 0 or (vehicle.poses is not None and num_with_road > 0)  # those roads may be the poses' own
+    if vehicle.can_log is not None and has_said and num_moving < MOST_FRAMES * summary.num_frames:
         from foreglow.datasets.vehicle_logs.can_log import MOTION_STALE_S
 
         lines.append(
             f"{vehicle.can_log}: our motion is known in {num_moving} of {summary.num_frames} frames, and at most "
             f"{MOTION_STALE_S:g} s after a message: it begins later, ends earlier (--time-offset), or tells it less "
             "often"
+        )
+    if vehicle.poses is not None and 0 < num_with_road < MOST_FRAMES * summary.num_frames:
+        from foreglow.maps.poses import MAX_GAP_S
+
+        lines.append(
+            f"{vehicle.poses}: the road is known in {num_with_road} of {summary.num_frames} frames: the poses begin "
+            f"later, end earlier (--time-offset), have gaps of more than {MAX_GAP_S:g} s, or leave the map"
         )
     return lines
 

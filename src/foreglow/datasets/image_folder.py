@@ -219,10 +219,9 @@ class ImageFolder(FileSource):
         lines = [f"{rate} follow from it (`ffmpeg -framerate RATE` makes a video of them, which has times)"]
         lines = lines * (len(self) > 1) + [self._taken(), _missing(self.path, self._numbers, self._steps)]
         if self.path.is_dir():
-            names = [folder.name for folder in sorted(self.path.iterdir()) if folder.is_dir() and _has_images(folder)]
-            listed = ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])
-            lines += [f"{self.path}: images in folders below it are not read: {listed}; run each by itself"] * bool(
-                names
+            below = _folders_below(self.path)
+            lines += [f"{self.path}: images in folders below it are not read: {below}; run each by itself"] * bool(
+                below
             )
         return [line for line in lines if line]
 
@@ -324,6 +323,12 @@ def is_images(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in (IMAGE_SUFFIXES | OTHER_IMAGES) - {_ANY_DATA}
 
 
+def _folders_below(folder: Path) -> str:
+    """The names of some of the folders in a folder that have images, for messages; empty without any."""
+    names = [below.name for below in sorted(folder.iterdir()) if below.is_dir() and _has_images(below)]
+    return ", ".join([*map(shortened, names[:MAX_NAMED]), *(["..."] if len(names) > MAX_NAMED else [])])
+
+
 def _has_images(folder: Path) -> bool:
     """Whether images lie in a folder, or in one of its own folders."""
     with contextlib.suppress(OSError):  # what may not be read is not read either
@@ -341,5 +346,7 @@ def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
     others = sorted(path for path in paths if path.suffix.lower() in OTHER_IMAGES)
     messages = [f"{path}: expected an image that is {known_formats()}, got another format" for path in others]
     if not files:
-        raise ValueError(messages[0] if messages else f"{folder}: expected images ({known_formats()}), found none")
+        below = "" if messages else _folders_below(folder)
+        hint = f" but in folders below it: {below}; run each by itself" if below else ""
+        raise ValueError([*messages, f"{folder}: expected images ({known_formats()}), found none{hint}"][0])
     return sorted(files, key=lambda path: (natural_key(path.name), path.name)), messages

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
 from foreglow.types import Frame
-from foreglow.wording import check_one_of
+from foreglow.wording import check_one_of, exact_seconds
 
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
 """What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does
@@ -52,8 +52,8 @@ class TimeOrder:
         if timestamp_ns < latest_ns - RESTART_NS:
             self.sequence = f"frame {index}"
         elif timestamp_ns < latest_ns:
-            expected = f"expected a time from {latest_ns / 1e9:.6g} s on, that of the frame before"
-            raise ValueError(f"{expected}, got {timestamp_ns / 1e9:.6g} s")
+            expected = f"expected a time from {exact_seconds(latest_ns)} s on, that of the frame before"
+            raise ValueError(f"{expected}, got {exact_seconds(timestamp_ns)} s")
         self.latest, self._has_begun = (index, timestamp_ns), True
 
 
@@ -93,8 +93,8 @@ class FileSource:
             frames.
         on_error: What a bad frame does.
         topic: The topic of a recording that is read; None of other sources.
-        lack: A line about what was to be in it and is not, as it says itself: a recording that was interrupted, or that
-            was never finished. Empty of all others.
+        lack: A line about what was to be in it and is not, as it says itself or shows: a recording that was
+            interrupted, that was never finished, or whose end is missing. Empty of all others.
         unread_end: Those lines of `skipped` that are about the latest images of the latest iteration, where none could
             be read since: at its end the source ended before its last image, as where its folder was removed.
     """

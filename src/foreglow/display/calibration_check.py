@@ -69,6 +69,11 @@ class CameraFigures:
     vanishing_px: tuple[float, float]
     row_m: tuple[float, ...]
 
+    @property
+    def is_ahead(self) -> bool:
+        """Whether the way ahead vanishes in or near the image."""
+        return bool(np.isfinite(self.vanishing_px).all())
+
     @classmethod
     def of(cls, camera: Camera) -> CameraFigures:
         """The figures of `camera`."""
@@ -96,12 +101,13 @@ def _turn(angle_deg: float, positive: str, negative: str) -> str:
 def check_lines(camera: Camera) -> list[str]:
     """What the calibration says, a line each, and a line for each warning."""
     figures = CameraFigures.of(camera)
+    place = "({:.1f}, {:.1f}) px".format(*figures.vanishing_px)
     lines = [
         f"image          {camera.width_px}x{camera.height_px} px, field of view "
         f"{figures.horizontal_fov_deg:.1f} x {figures.vertical_fov_deg:.1f} degrees",
         f"camera         {figures.height_m:.2f} m above the road, points {_turn(figures.pitch_deg, 'up', 'down')} and "
         f"{_turn(figures.yaw_deg, 'to the left', 'to the right')}, rolled {_turn(figures.roll_deg, 'right', 'left')}",
-        "vanishing at   ({:.1f}, {:.1f}) px".format(*figures.vanishing_px),
+        f"vanishing at   {place if figures.is_ahead else 'no pixel in or near the image'}",
     ]
     lines += [
         f"one row        is {row_m:.2f} m of flat road at {range_m:g} m"
@@ -120,7 +126,9 @@ def warnings_of(camera: Camera) -> list[str]:
     """What is hardly true of a camera that looks along the road; empty if nothing is."""
     figures, found = CameraFigures.of(camera), []
     x, y = figures.vanishing_px
-    if not 0 <= x < camera.width_px:
+    if not figures.is_ahead:
+        found.append("the camera does not look along the drive, which is behind it or far outside the image")
+    elif not 0 <= x < camera.width_px:
         found.append(f"the camera does not look along the drive, which is outside the image: column {x:.0f}")
     elif not 0 <= y < camera.height_px:
         found.append(f"the horizon is outside the image: row {y:.0f} of {camera.height_px}")

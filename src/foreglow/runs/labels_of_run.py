@@ -105,10 +105,22 @@ def labels_of_run(run: Path, labelled: Path, dataset: LabelledSource) -> LabelsO
     is_known = bool(stated or (digests and (is_pvdn(source) or (labelled.is_file() and source.is_dir()))))
     is_live, sizes_px = summary.live is not None, set(summary.frame_sizes_px)
     if is_known or (not is_live and sizes_px and sizes_px.isdisjoint(_sizes_px(dataset))):
-        raise ValueError(f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others")
+        raise ValueError(
+            f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others"
+            f"{_missing(dataset)}"
+        )
     if is_live or is_pvdn(source):  # without images, a split cannot be told from another one
         return LabelsOfRun(dataset)
     return LabelsOfRun(dataset, doubt=doubt)
+
+
+def _missing(dataset: LabelledSource) -> str:
+    """What to add where labels fit nothing: whether images of theirs are missing, as in a copy that is not whole."""
+    paths = [dataset.image_path(image_id) for image_id in dataset.frame_ids]
+    missing = [path for path in paths if not path.is_file()]
+    if len(missing) in (0, len(paths)):
+        return ""
+    return f"; {len(missing)} of its {len(paths)} images {'are' if len(missing) > 1 else 'is'} missing: {missing[0]}"
 
 
 def _numberings(found: list[Origin], dataset: LabelledSource, source: Path) -> list[frozenset[tuple[int, int]]]:

@@ -59,9 +59,10 @@ class RunSummary(_Strict):
         topic: The topic of a recording that was read; None of other sources, and like the next in folders of earlier
             versions.
         on_error: What bad frames did: `stop`, `skip` or `mark`; None of sources without files.
-        source_lack: What the source lacks, as it says itself: a recording that was interrupted or never finished.
-        is_complete: False if the run, the one whose results it takes, or the recording that it read was interrupted;
-            the results until then are kept.
+        source_lack: What the source lacks, as it says itself or shows: a recording that was interrupted or never
+            finished, or whose end is missing.
+        is_complete: False if the run, the one whose results it takes, or the recording that it read was interrupted
+            or lacks something; the results until then are kept.
         is_interrupted: Whether that was the run itself; false in folders of earlier versions.
         is_classified: Whether a model scored the proposals.
         num_frames: Frames that were run.

@@ -341,6 +341,28 @@ def test_one_of_several_annotations_counts(marked: tuple[int, ...], taken: int, 
     assert found.lost["annotation that another of the same image replaces"] == 2
 
 
+def test_cancelled_annotations_are_told(split: Path, tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    write_labels_file(path, labels_of(open_labelled(split)), "label-studio")
+    tasks = json.loads(path.read_text())
+    cancelled = {"result": [], "was_cancelled": True}
+    tasks[0]["annotations"] += [cancelled, {"result": []}]
+    tasks[1]["annotations"] = [cancelled]
+    path.write_text(json.dumps(tasks))
+    assert LabelFile(path, split / "images").labels.lost == {
+        "annotation that was cancelled": 2,
+        "annotation that another of the same image replaces": 1,
+        "image that nobody has annotated": 1,
+    }
+
+
+def test_the_smaller_export_of_label_studio_is_refused_with_the_name_of_the_other(tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps([{"image": "/data/upload/1/a.png", "id": 1, "annotator": 1, "annotation_id": 1}]))
+    with pytest.raises(ValueError, match=r'json: 0\.data: .* export "JSON" \("JSON-MIN" has none\), found none$'):
+        LabelFile(path, tmp_path)
+
+
 def test_a_vehicle_has_one_point() -> None:
     marks = [Mark(Kind.VEHICLE, (1, 2), 3), Mark(Kind.VEHICLE, (5, 6), 3)]
     with pytest.raises(ValueError, match=r"a\.xml: vehicle 3: expected one point, got several"):

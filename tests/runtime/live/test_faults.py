@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import threading
@@ -14,9 +15,10 @@ from benchmarks.faulty import WRONG_FRAMES, Lamps, ScriptedCamera, Step, live_co
 from foreglow.beam.faults import GuardFault
 from foreglow.config import PipelineConfig, preset
 from foreglow.pipeline import Pipeline
-from foreglow.runtime.live import LiveEndedError, LiveFault, LiveLoop
+from foreglow.runtime.live import LiveEndedError, LiveFault, LiveLoop, Paced
 from foreglow.types import BeamMode, Frame
 from tests.runtime.live.stand_ins import BEGIN, END, Keeper, run_live
+from tests.stand_ins import ListSource
 
 pytestmark = pytest.mark.slow
 
@@ -36,6 +38,37 @@ def test_wrong_frames(fault: str, drive: list[Frame]) -> None:
     assert summary.fault_counts[fault] == 1
     event = next(event for event in summary.faults if event.fault == fault)
     assert event.until_ns is not None
+
+
+def test_a_replay_without_pauses_knows_which_frames_are_faulty(drive: list[Frame]) -> None:
+    """Its clock is that of the reader, which may be some frames ahead."""
+    wrong, keeper = WRONG_FRAMES[GuardFault.FROZEN](drive[BEGIN:END]), Keeper()
+    source = Paced(ListSource([*drive[:BEGIN], *wrong, *drive[END:60]]), math.inf)
+    summary, _ = run_live(source, live_config(), sinks=[keeper])
+    faulty = [frame for frame, result in keeper.results if result.beam and GuardFault.FROZEN in result.beam.faults]
+    after = next(frame for frame, _ in keeper.results if frame.timestamp_ns > faulty[-1].timestamp_ns)
+    (event,) = (event for event in summary.faults if event.fault == GuardFault.FROZEN)
+    assert (event.from_ns, event.until_ns) == (faulty[0].timestamp_ns, after.timestamp_ns)
+
+
+def test_a_stage_that_fails_in_such_a_replay_does_so_at_its_frame(drive: list[Frame]) -> None:
+    class Failing:
+        config, count = live_config(), 0
+
+        def __init__(self) -> None:
+            self._pipeline = Pipeline(self.config)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._pipeline, name)
+
+        def step(self, frame: Frame, **options: Any) -> Any:
+            if frame is drive[BEGIN]:
+                raise RuntimeError("bad luck")
+            return self._pipeline.step(frame, **options)
+
+    summary, _ = run_live(Paced(ListSource(drive[:60]), math.inf), live_config(), Failing)
+    (event,) = (event for event in summary.faults if event.fault == LiveFault.STAGE_FAILED)
+    assert (event.from_ns, event.until_ns) == (drive[BEGIN].timestamp_ns, drive[BEGIN + 1].timestamp_ns)
 
 
 def test_frames_out_of_order(drive: list[Frame]) -> None:

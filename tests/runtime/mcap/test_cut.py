@@ -138,6 +138,21 @@ def test_one_that_was_not_finished_says_so(tmp_path: Path) -> None:
     assert read_summary(tmp_path / "out" / "summary.json").is_complete is False
 
 
+@pytest.mark.parametrize("on_error", ["skip", "mark"])
+def test_one_whose_end_is_missing_says_so(on_error: str, tmp_path: Path) -> None:
+    """The same bytes under a name of unfinished ones said so."""
+    whole = make_mcap(tmp_path / "drive.mcap", images(6))
+    whole.write_bytes(whole.read_bytes()[:-3000])
+    out = tmp_path / "out"
+    result = foreglow_command("run", whole, "--on-error", on_error, "--preset", "paper", "--out", out)
+    words = f"{whole}: truncated recording, its end is missing"
+    assert f"{words}\n" in result.stdout
+    summary = read_summary(out / "summary.json")
+    assert (summary.is_complete, summary.source_lack) == (False, words)
+    with pytest.warns(UserWarning, match=words):
+        open_source(whole, on_error="skip")
+
+
 def test_whole_and_foreign_ones_say_nothing(tmp_path: Path) -> None:
     whole = recorded(tmp_path / "drive.mcap", ListSource(night_frames(3)))
     foreign = make_mcap(tmp_path / "foreign.mcap", images(3))

@@ -164,7 +164,8 @@ class Recording(FileSource):
     motion: a CameraInfo does not say where the camera is mounted in the vehicle. A damaged message or chunk, or a
     missing end is an error, and so is a file that changes after it was opened; with `skip`, damaged parts are left out.
     A recording whose name says that it is incomplete (`PARTIAL_SUFFIXES`) is read up to its last whole chunk, and may
-    grow. A warning says so, and also of a recording of ours whose run was interrupted (`lack`).
+    grow. A warning says so, and also of a recording of ours whose run was interrupted, of a missing end with
+    `skip`, and of a ROS 2 bag with fewer images than were recorded by its metadata (`lack`).
 
     Attributes:
         path: File or folder.
@@ -194,11 +195,13 @@ class Recording(FileSource):
         self._states = FileStates(_files_of(self.path))
         if self._container.truncation and on_error == "stop":
             self._lose_part(self._container.truncation)
-        self.lack = self._container.lack
         found = self._found(topic)
         self.topic = self._topic = found.name
         self._decode = DECODERS[found.type, found.encoding]
         self.num_frames = self._container.count(self._topic)
+        self.lack = self._container.lack or self._container.truncation
+        if not self.lack and isinstance(self._container, Ros2Bag):
+            self.lack = self._container.lack_of(self._topic, self.num_frames)
         self.rate_hz = self._rate_hz()
         self.skipped, self.lost_parts = [], []
         if self.lack:

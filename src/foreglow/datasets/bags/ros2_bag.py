@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path, PurePath
 from types import MappingProxyType
+from typing import Any
 from urllib.parse import quote
 
 from foreglow.datasets.bags.containers import (
@@ -139,7 +140,9 @@ class Ros2Bag:
             FileNotFoundError: If a file is missing.
             ValueError: If the metadata are broken, or a file cannot be used.
         """
-        self._files = [_storage(path) for path in _files(folder)]
+        self._folder, information = folder, _information(folder)
+        self._files = [_storage(path) for path in _files(folder, information)]
+        self._counts = _recorded_counts(information)
         self.truncation = next((file.truncation for file in self._files if file.truncation), "")
         self.lack = next((file.lack for file in self._files if file.lack), "")
 
@@ -152,6 +155,17 @@ class Ros2Bag:
         """As in `Container`."""
         counts = [file.count(name) for file in self._files]
         return None if None in counts else sum(count or 0 for count in counts)
+
+    def lack_of(self, name: str, num_found: int | None) -> str:
+        """A message if `num_found` messages on the topic are fewer than were recorded by the metadata; else empty.
+
+        More are no lack: a recorder that was killed leaves metadata of before, and others append.
+        """
+        num_recorded = self._counts.get(name, 0)
+        if num_found is None or num_found >= num_recorded:
+            return ""
+        words = f"by {METADATA} {num_recorded} messages on {name} were recorded, {num_found} are there"
+        return f"{self._folder}: {words}: what is made from it is incomplete"
 
 
 def _sizes(path: Path) -> tuple[int, int, int, bool]:
@@ -183,14 +197,33 @@ def _storage(path: Path) -> Container:
     return STORAGES[path.suffix](path)
 
 
-def _files(folder: Path) -> list[Path]:
-    path = folder / METADATA
-    metadata = read_yaml(path)
+def _information(folder: Path) -> dict[str, Any]:
+    """What the metadata say of the bag; empty if nothing."""
+    metadata = read_yaml(folder / METADATA)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
-    names = information.get("relative_file_paths") if isinstance(information, dict) else None
+    return information if isinstance(information, dict) else {}
+
+
+def _files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
+    path = folder / METADATA
+    names = information.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
         raise ValueError(f"{path}: rosbag2_bagfile_information.relative_file_paths: expected names of files")
-    mode = str(information.get("compression_mode", "")) if isinstance(information, dict) else ""
-    if mode.upper() == "MESSAGE":
+    if str(information.get("compression_mode", "")).upper() == "MESSAGE":
         raise ValueError(f"{path}: compression_mode: expected messages as they are; `ros2 bag convert` decompresses")
     return [folder / PurePath(name).name for name in names]
+
+
+def _recorded_counts(information: Mapping[str, Any]) -> dict[str, int]:
+    """Messages that were recorded by topic, as rosbag2 has counted them once they were written; others are left out."""
+    topics = information.get("topics_with_message_count")
+    counts = dict[str, int]()
+    for topic in topics if isinstance(topics, list) else []:
+        about = topic.get("topic_metadata") if isinstance(topic, dict) else None
+        if (
+            isinstance(about, dict)
+            and isinstance(about.get("name"), str)
+            and isinstance(topic.get("message_count"), int)
+        ):
+            counts[about["name"]] = topic["message_count"]
+    return counts

@@ -65,7 +65,7 @@ class Annotation(Record):
 class Task(Record):
     """An image."""
 
-    data: dict[str, Any]
+    data: dict[str, Any] | None = None
     annotations: tuple[Annotation, ...] = ()
     predictions: tuple[Any, ...] = ()
 
@@ -85,7 +85,11 @@ def read_label_studio(path: Path) -> LabelSet:
     images = []
     for index, task in enumerate(read_json(path, TasksFile).root):
         origin = f"{path}: {index}"
+        if task.data is None:
+            words = 'expected that of a task, as in Label Studio\'s export "JSON" ("JSON-MIN" has none)'
+            raise ValueError(f"{origin}.data: {words}, found none")
         given = [annotation for annotation in reversed(task.annotations) if not annotation.was_cancelled]
+        lost["annotation that was cancelled"] += len(task.annotations) - len(given)
         lost["annotation that another of the same image replaces"] += max(0, len(given) - 1)
         if given:
             name = plain_path(_name_of(task.data, origin), f"{origin}.data.image")

@@ -36,6 +36,7 @@ from foreglow.folder_lock import FolderLock
 from foreglow.own_files import labels_format, with_labels_digest
 from foreglow.types import Frame
 from foreglow.whole_files import write_atomic
+from foreglow.wording import exact_seconds
 
 _HIDDEN = ".import.partial"
 """Folder for a split until all of it is written."""
@@ -151,7 +152,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
         if frame.timestamp_ns != guess.timestamp_ns:
             raise ValueError(
                 f"{frames.name}: expected the frames of the run, frame {frame.frame} is at "
-                f"{frame.timestamp_ns / 1e9:.3f} s, and was at {guess.timestamp_ns / 1e9:.3f} s"
+                f"{exact_seconds(frame.timestamp_ns)} s, and was at {exact_seconds(guess.timestamp_ns)} s"
             )
         if chosen is None or frame.frame in chosen:
             size_px = frame.width_px, frame.height_px

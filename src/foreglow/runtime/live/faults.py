@@ -68,14 +68,14 @@ class FaultBook:
         self.events: deque[FaultEvent] = deque(maxlen=MAX_EVENTS)
         self.counts = FaultCounts()
 
-    def note(self, origin: str, faults: Iterable[str] = (), detail: str = "") -> None:
-        """Reports all faults of `origin` that are present now."""
+    def note(self, origin: str, faults: Iterable[str] = (), detail: str = "", *, at_ns: int | None = None) -> None:
+        """Reports all faults of `origin` that are present at `at_ns` by the frames' clock, None for now."""
         names = dict.fromkeys(str(fault) for fault in faults)
         with self._lock:
             known = self._active.get(origin, {})
             if not names and not known:
                 return
-            now_ns = self._now_ns()
+            now_ns = self._now_ns() if at_ns is None else at_ns
             for name in [name for name in known if name not in names]:
                 event = known.pop(name)
                 event.until_ns = max(event.from_ns, now_ns)

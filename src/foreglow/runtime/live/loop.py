@@ -362,7 +362,9 @@ class LiveLoop:
             self._num_taken += 1
             beam, faults = None if result is None else result.beam, self._book.unheeded
             if beam is not None:  # else nobody judged, and what the guard found last goes on
-                self._book.note(GUARD, [name for name in beam.faults if name not in LIVE_FAULTS])
+                # Without a loss the reader, by which the clock goes, may be some frames ahead.
+                at_ns = frame.timestamp_ns if self._source.is_lossless else None
+                self._book.note(GUARD, [name for name in beam.faults if name not in LIVE_FAULTS], at_ns=at_ns)
             if beam is None or faults:  # a stage failed, or a fault appeared meanwhile
                 found = () if beam is None else beam.faults
                 beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *dict.fromkeys([*faults, *found]))

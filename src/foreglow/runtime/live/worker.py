@@ -165,16 +165,17 @@ class Worker:
     def _step(self, arrival: Arrival) -> Stepped:
         pipeline, frame = self._pipeline, arrival.frame
         begun_ns = arrival.arrived_ns if self._now_ns is None else self._now_ns()
+        at_ns = frame.timestamp_ns if self._now_ns is None else None
         assert pipeline is not None
         faults = self._book.heeded()
         try:
             result = pipeline.step(frame, now_ns=self._now_ns, faults=faults)
         except BaseException as error:  # of any stage, no signal's: low beam, and the next frame is another chance
-            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {described(error)}")
+            self._book.note(STAGE, [LiveFault.STAGE_FAILED], f"{self.stage}: {described(error)}", at_ns=at_ns)
             self._num_failures += 1
             if self._num_failures >= self._config.max_failures:
                 self._pipeline = None
             return Stepped(arrival, begun_ns, None)
         self._num_failures = 0
-        self._book.note(STAGE)
+        self._book.note(STAGE, at_ns=at_ns)
         return Stepped(arrival, begun_ns, result)

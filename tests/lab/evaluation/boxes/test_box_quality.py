@@ -392,6 +392,9 @@ def test_predictions_of_another_split_are_refused(tmp_path: Path) -> None:
     assert evaluate_split(split, tmp_path / "run" / "frames.jsonl").num_images == 5
     with pytest.raises(ValueError, match=r"expected the labels of what .* was made from, .*, got others"):
         evaluate_split(other, tmp_path / "run" / "frames.jsonl")
+    image.unlink()
+    with pytest.raises(ValueError, match=rf"got others; 1 of its 5 images is missing: {image}$"):
+        evaluate_split(other, tmp_path / "run" / "frames.jsonl")
 
 
 def test_the_splits_own_boxes(tmp_path: Path) -> None:

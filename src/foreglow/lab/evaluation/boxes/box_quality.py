@@ -134,11 +134,11 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
     """How well the predictions in a file explain a PVDN split.
 
     Every image of the split counts, with all its instances: direct, indirect and rear; if the predictions are of a run
-    on one of its folders, every image there. Each must have its keypoint file. Image files are not needed. A warning
-    tells what makes the figures others than the boxes deserve: images without predictions, predictions for images that
-    are not in the split, key points outside their image, and key points that the labels of an image have several times,
-    boxes that lie beyond their image; labels of which nothing tells whether they are for what the run was made from;
-    and labels that are for more than that.
+    on one of its folders, every image there. Each must have its keypoint file. Image files are not needed, but the
+    folder of a sequence that is named is. A warning tells what makes the figures others than the boxes deserve: images
+    without predictions, predictions for images that are not in the split, key points outside their image, and key
+    points that the labels of an image have several times, boxes that lie beyond their image; labels of which nothing
+    tells whether they are for what the run was made from; and labels that are for more than that.
 
     Args:
         split: The split's folder, or a sequence's for this sequence alone.
