@@ -29,7 +29,7 @@ def labels(*stored: tuple[int, BoxShares]) -> Any:
     shares: dict[str, dict[int, BoxShares]] = {}
     for image_id, found in stored:
         shares.setdefault(found.preset, {})[image_id] = found
-    return SimpleNamespace(shares=shares)
+    return SimpleNamespace(shares=shares, lights={7: (), 8: ()})
 
 
 def predictions(called: dict[int, list[str]], scores: dict[int, list[float]]) -> Predictions:
@@ -69,7 +69,8 @@ def test_own_and_fixed_light_together_are_none() -> None:
 
 def test_boxes_without_shares_or_kinds_are_told() -> None:
     split = labels((7, BoxShares("foreglow", BOXES[:2], mostly("own", "rear_lamp"))))
-    made = predictions({7: ["rear_lamp"] * 4, 8: ["rear_lamp"] * 2}, {7: [0.9] * 4, 8: [0.9] * 2})
+    called = {7: ["rear_lamp"] * 4, 8: ["rear_lamp"] * 2, 9: ["rear_lamp"] * 3}  # image 9 is not one of the labels
+    made = predictions(called, {image_id: [0.9] * len(names) for image_id, names in called.items()})
     made.light_kinds[7][0] = math.nan
     found = kind_confusion(split, made, 0.5)
     assert found is not None

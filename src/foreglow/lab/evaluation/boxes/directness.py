@@ -218,7 +218,8 @@ class KindConfusion:
 
     Attributes:
         counts: Shape (5, 5), of boxes: true kinds in the rows, called kinds in the columns, both as `KINDS`.
-        num_unknown: Boxes that the data set stores no shares of, or that a model does not tell the kind of.
+        num_unknown: Boxes in labelled images that the data set stores no shares of, or of which a model does not tell
+            the kind.
     """
 
     counts: NDArray[np.int64]
@@ -254,6 +255,8 @@ def kind_confusion(labels: SplitLabels, predictions: Predictions, threshold: flo
         return None
     counts = np.zeros((len(KINDS), len(KINDS)), np.int64)
     for image_id, light_kinds in predictions.light_kinds.items():
+        if image_id not in labels.lights:
+            continue
         stored = [by_image[image_id] for by_image in labels.shares.values() if image_id in by_image]
         kind_of = {
             tuple(box): kind
@@ -266,5 +269,5 @@ def kind_confusion(labels: SplitLabels, predictions: Predictions, threshold: flo
         for box, call, is_unknown in zip(boxes, called, np.isnan(light_kinds[:, 0]), strict=True):
             if box in kind_of and not is_unknown:
                 counts[kind_of[box], call] += 1
-    num_boxes = sum(map(len, predictions.boxes_xyxy_px.values()))
+    num_boxes = sum(len(boxes) for image_id, boxes in predictions.boxes_xyxy_px.items() if image_id in labels.lights)
     return KindConfusion(counts, num_boxes - int(counts.sum()))
