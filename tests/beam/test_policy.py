@@ -174,7 +174,7 @@ def test_each_hidden_vehicle_has_a_gap_of_its_own_and_keeps_it_for_a_while() -> 
 
 
 SURE = LAMP._replace(direct=0.99)
-BESIDE = Seen(-0.1, direct=0.7, number=6)
+BESIDE = Seen(-0.01, direct=0.7, number=6)
 """Light on a rail that looks half like a lamp."""
 
 

@@ -103,7 +103,7 @@ class Bearings:
             tracks.direct_probabilities.tolist(),
             tracks.light_kinds[:, 0].tolist(),
             (tracks.num_misses == 0).tolist(),
-            lamps_in_sight(tracks, self._min_direct).tolist(),
+            lamps_in_sight(tracks, self._min_direct, frame.camera).tolist(),
             vehicles.tolist(),
             _confidences(tracks).tolist(),
             tracks.is_plausible.tolist(),

@@ -2,7 +2,10 @@
 
 A lamp lights what is beside it, and some of that light looks half like a lamp: on a rail or on leaves close to the
 lamp. As long as no lamp of the vehicle is surely in sight, such a track may be the lamp itself. Once one is, the others
-of the same vehicle count as its light, unless they are as sure.
+of the same vehicle count as its light, unless they are as sure or too far aside.
+
+In dense traffic, lights of many vehicles may count as one vehicle's. Its sure lamps are further apart then than those
+of one vehicle, and only what lies within the width of a vehicle beside one of them is taken for its light.
 """
 
 from __future__ import annotations
@@ -10,25 +13,41 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.geometry import Camera
 from foreglow.types import Tracks
 
 SURE_DIRECT = 0.9
 """A track is surely a lamp if its probability of that is above this: chosen in decision 21."""
 
+SPAN_M = 2.6
+"""Two lamps of a vehicle are at most so far apart: those of the widest."""
 
-def lamps_in_sight(tracks: Tracks, min_direct: float) -> NDArray[np.bool_]:
+BESIDE_M = 6.0
+"""Light further aside of its lamp than this, at the lamp's range, is no longer told from another vehicle's lamp."""
+
+
+def lamps_in_sight(tracks: Tracks, min_direct: float, camera: Camera | None) -> NDArray[np.bool_]:
     """Which of `tracks` are lamps in sight, front or rear, shape (M,); also those of which it is unknown.
 
     Args:
         tracks: The tracks of a frame.
         min_direct: A track is a lamp above this probability.
+        camera: That of the frame; without one, or without a range, nobody knows what is beside a lamp.
     """
     direct = tracks.direct_probabilities
-    is_lamp = ~(direct <= min_direct)
-    if tracks.vehicles is not None:
-        is_sure = tracks.is_plausible & (direct > SURE_DIRECT)
-        if is_sure.any():
-            of_tracks = tracks.vehicles.of_tracks
-            has_sure = (of_tracks[:, np.newaxis] == of_tracks[is_sure]).any(axis=1)
-            is_lamp &= ~(direct <= SURE_DIRECT) | ~has_sure
-    return np.asarray(is_lamp)
+    is_lamp = np.asarray(~(direct <= min_direct))
+    if tracks.vehicles is None or camera is None:
+        return is_lamp
+    of_tracks, is_sure = tracks.vehicles.of_tracks, tracks.is_plausible & (direct > SURE_DIRECT)
+    is_unsure = is_lamp & (direct <= SURE_DIRECT)
+    for vehicle in np.unique(of_tracks[is_sure]):
+        sure, unsure = (np.flatnonzero(found & (of_tracks == vehicle)) for found in (is_sure, is_unsure))
+        left_m, right_m = (tracks.boxes_xyxy_px[:, k] / camera.focal_px[0] for k in (0, 2))  # at a range of 1 m
+        ranges_m = tracks.ranges_m[sure]
+        aside = np.maximum(left_m[unsure, np.newaxis] - right_m[sure], left_m[sure] - right_m[unsure, np.newaxis])
+        aside_m = np.maximum(aside, 0.0) * ranges_m
+        middles = 0.5 * (left_m + right_m)[sure]
+        apart_m = np.abs(middles[:, np.newaxis] - middles) * np.minimum(ranges_m[:, np.newaxis], ranges_m)
+        reach_m = BESIDE_M if apart_m.max() <= SPAN_M else 0.5 * SPAN_M  # not with a range that is unknown, NaN
+        is_lamp[unsure] = ~(aside_m <= reach_m).any(axis=1)
+    return is_lamp

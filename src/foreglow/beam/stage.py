@@ -87,7 +87,7 @@ class BeamStage:
             frame,
             time_ns=now_ns and now_ns(),
             pipeline_faults=faults,
-            is_vehicle=lamps_in_sight(tracks, self._min_direct),
+            is_vehicle=lamps_in_sight(tracks, self._min_direct, frame.camera),
         )
         self._policy.shone(passed if self._is_ours else copy.deepcopy(passed))
         return passed
