@@ -368,6 +368,8 @@ def test_a_run_on_other_boxes_than_those_of_its_model_says_so(tmp_path: Path, fo
         assert (line in given.stdout) == is_said
     own.write_text(f'[proposals]\nkappa = 0.4\n[classifier]\nmodel = "{model}"\n')
     assert line in foreglow_command("run", folder, "--config", own, "--out", out).stdout
+    live = foreglow_command("live", folder, "--speed", 0, "--config", own, "--out", tmp_path / "live")
+    assert "the model has seen other boxes than those of this configuration" in live.stdout
     (tmp_path / "config.toml").write_text("broken")  # the run is done: what cannot be read says nothing
     assert foreglow_command("run", folder, "--config", own, "--out", out).exit_code == 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import signal
@@ -236,3 +237,11 @@ def test_second_interrupt_stops_at_once_and_leaves_nothing(tmp_path: Path) -> No
     with pytest.raises(KeyboardInterrupt):
         run_into(tmp_path / "out", source)
     assert names(tmp_path) == set()
+
+
+def test_a_number_that_comes_twice_ends_a_run(tmp_path: Path) -> None:
+    """As of frames without numbers, whose results no command could read."""
+    frames = [dataclasses.replace(frame, frame=0) for frame in night_frames(3)]
+    with pytest.raises(ValueError, match="frame: expected another number than that of the frame before, got 0 again"):
+        run(ListSource(frames), Pipeline(REFERENCE), OutputFolder(tmp_path / "out"))
+    assert not list((tmp_path / "out").glob("*"))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.shared_run import bits_notes, look_sink, run_in_parallel, say_lack
+from foreglow.cli.shared_run import bits_notes, boxes_notes, look_sink, run_in_parallel, say_lack
 from foreglow.command_line import argument, file, flag, folder, option, output_file, with_options
 from foreglow.options import PipelineOptions, WorkerOptions
 from foreglow.own_files import QUALITY
@@ -152,7 +152,7 @@ def _examined_model(
         looks = look_sink(dataset, None, configuration)
         opening = Opening(open_labelled, (split,))
         summary = run_in_parallel(opening, str(split), folder, configuration, workers, looks)
-        for line in bits_notes(looks.brightest, configuration.guard.white_level):
+        for line in (*bits_notes(looks.brightest, configuration.guard.white_level), *boxes_notes(configuration)):
             typer.echo(line)
         if summary.is_interrupted:
             raise KeyboardInterrupt

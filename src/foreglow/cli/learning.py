@@ -302,6 +302,8 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     from foreglow.lab.reports.training_pictures import draw_changes
 
     own, old = _boxes_of(summary["samples"]["own"], summary["recipe"]), summary["samples"]["mixed_in"]
+    if isinstance(summary["mixed_in"], list):  # of drives, in place of the samples that ship, which have no copies
+        old = _boxes_of(old, summary["recipe"])
     mixed = f"{old['positive']} and {old['negative']} mixed in"
     typer.echo(f"learnt from {own['positive']} boxes with light and {own['negative']} without, {mixed}")
     table = Table(

@@ -13,7 +13,7 @@ import typer
 
 from foreglow.cli.app import app
 from foreglow.cli.beam import lamp_bus
-from foreglow.cli.shared_run import recording_sinks, source_notes, unused_lines, viewer_sinks
+from foreglow.cli.shared_run import boxes_notes, recording_sinks, source_notes, unused_lines, viewer_sinks
 from foreglow.command_line import argument, folder, option, output_file, refuse_unused, with_options
 from foreglow.options import (
     RECORD_HELP,
@@ -136,7 +136,7 @@ def live(
 
         summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)
     notes = source_notes(opened.source) if isinstance(opened, Paced) else []
-    _finish(summary, out, error, [*notes, *unused_lines(vehicle, summary.run)])
+    _finish(summary, out, error, [*notes, *unused_lines(vehicle, summary.run), *boxes_notes(configuration)])
 
 
 def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:

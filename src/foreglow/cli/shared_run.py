@@ -174,22 +174,32 @@ def look_sink(frames: FrameSource, limit: int | None, configuration: PipelineCon
 
 def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     """What to expect of a run whose camera resembles this profile of the simulator, and of its model."""
-    from foreglow.classifier.learnt import have_same_boxes
     from foreglow.config import PRESETS
-    from foreglow.options import known_proposals
 
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
     model = configuration.classifier.model
-    known = None
-    with contextlib.suppress(ValueError, OSError):  # what is broken says nothing: the run is done
-        known = None if model is None else known_proposals(model)
     is_ours = model is not None and any(each.classifier.model == model for each in PRESETS.values())
-    seen = ["simulated drives only"] if is_ours else []
-    if known is not None and not have_same_boxes(known[0], configuration.proposals):
-        seen.append("other boxes")
+    seen = [*(["simulated drives only"] if is_ours else []), *(["other boxes"] if sees_others(configuration) else [])]
     if not seen:
         return f"camera: {like}"
     return f"camera: {like}; the model has seen {', and '.join(seen)}, so look at the result before you trust it"
+
+
+def boxes_notes(configuration: PipelineConfig) -> list[str]:
+    """A line if the model has seen other boxes than those of the configuration."""
+    line = "the model has seen other boxes than those of this configuration, so look at the result before you trust it"
+    return [line] if sees_others(configuration) else []
+
+
+def sees_others(configuration: PipelineConfig) -> bool:
+    """Whether the model gets other boxes than it has learnt from, as far as that is known."""
+    from foreglow.classifier.learnt import have_same_boxes
+    from foreglow.options import known_proposals
+
+    model, known = configuration.classifier.model, None
+    with contextlib.suppress(ValueError, OSError):  # what is broken says nothing: the run is done
+        known = None if model is None else known_proposals(model)
+    return known is not None and not have_same_boxes(known[0], configuration.proposals)
 
 
 def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_CONFIGURATION) -> list[str]:

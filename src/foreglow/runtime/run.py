@@ -169,9 +169,10 @@ def run(
                 )
             is_cut, read = interrupt.is_set, how_read(source)
             is_complete = not is_cut and (origin is None or origin.is_complete)
+            num_lost_parts = len(lost_parts(source))
             for sink in all_sinks:
                 if isinstance(sink, KeepingSink):
-                    sink.is_complete = is_complete and read["source_lack"] is None
+                    sink.is_complete = is_complete and read["source_lack"] is None and not num_lost_parts
                 sink.close()
             summary = tally.summary(
                 name,
@@ -180,7 +181,7 @@ def run(
                 is_complete=is_complete,
                 is_interrupted=is_cut,
                 dispatch=pipeline.dispatch,
-                num_lost_parts=len(lost_parts(source)),
+                num_lost_parts=num_lost_parts,
                 **read,
             )
             if origin is not None and origin.calibration != summary.calibration:
@@ -222,9 +223,18 @@ def step_through(
     tally: Tally,
     is_stopped: Callable[[], bool],
 ) -> None:
-    """Runs the pipeline over the frames and passes on the results; after each frame it asks whether to stop."""
+    """Runs the pipeline over the frames and passes on the results; after each frame it asks whether to stop.
+
+    Raises:
+        ValueError: If a frame has the number of the one before: what is recorded knows frames by their numbers.
+    """
     pipeline.reset()
+    before: tuple[str, int] | None = None
     for frame in frames:
+        place = frame.sequence, frame.frame
+        if place == before:
+            raise ValueError(f"frame: expected another number than that of the frame before, got {frame.frame} again")
+        before = place
         result = pipeline.step(frame)
         for sink in sinks:
             sink.write(frame, result)

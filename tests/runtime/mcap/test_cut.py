@@ -33,7 +33,7 @@ pytest.importorskip("foxglove")
 from foreglow.pipeline import Pipeline
 from foreglow.runtime.mcap import McapRecorder
 
-WORDS = "the recording was interrupted or fell behind, what is made from it is incomplete"
+WORDS = "frames are missing from the recording, what is made from it is incomplete"
 
 
 class Interrupted(ListSource):
@@ -83,6 +83,18 @@ def test_a_run_on_it_says_so(cut: Path, tmp_path: Path) -> None:
     assert f"{out}: made from {cut}: {WORDS}\n" in said.stdout
     with pytest.warns(UserWarning, match=WORDS):  # what was recorded of it lacks the same
         open_source(again)
+
+
+def test_one_of_a_damaged_recording_says_so(tmp_path: Path) -> None:
+    """Of a cut one it said so, of one with a hole not."""
+    damaged, again = recorded(tmp_path / "drive.mcap", ListSource(night_frames(40))), tmp_path / "again.mcap"
+    content = bytearray(damaged.read_bytes())
+    content[len(content) // 2] ^= 1
+    damaged.write_bytes(content)
+    result = foreglow_command("record", damaged, "--on-error", "skip", "--preset", "paper", "--out", again)
+    assert result.exit_code == 0, result.output
+    with pytest.warns(UserWarning, match=WORDS):
+        assert 0 < len(list(open_source(again))) < 40
 
 
 @pytest.mark.slow

@@ -92,7 +92,7 @@ def unfinished(path: Path) -> str:
 
 def incomplete(path: Path) -> str:
     """A message about a recording that says that frames of its source are missing."""
-    return f"{path}: the recording was interrupted or fell behind, what is made from it is incomplete"
+    return f"{path}: frames are missing from the recording, what is made from it is incomplete"
 
 
 def continuation(path: Path, end: int, size: int) -> str:

@@ -71,9 +71,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, required=True, help="the model to write")
     given = parser.parse_args(arguments)
     config = preset("foreglow")
-    splits = [open_labelled(split_folder(path, "val")) for path in given.judge]
-    val = joined([labelled_samples(split, _RECIPE, config, "val", given.cache, None) for split in splits])
-    calibrator = join(given.alone, given.related, val, given.out)
+    try:
+        splits = [open_labelled(split_folder(path, "val")) for path in given.judge]
+        val = joined([labelled_samples(split, _RECIPE, config, "val", given.cache, None) for split in splits])
+        calibrator = join(given.alone, given.related, val, given.out)
+    except (OSError, ValueError) as error:
+        parser.exit(2, f"{parser.prog}: {error}\n")
     print(f"{given.out}: temperature {calibrator.temperature:.2f}, shift {calibrator.shift:.2f}")  # noqa: T201
 
 
