@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import resource
 import signal
@@ -11,6 +12,7 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from foreglow.config import preset
@@ -95,6 +97,18 @@ def test_one_of_a_damaged_recording_says_so(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     with pytest.warns(UserWarning, match=WORDS):
         assert 0 < len(list(open_source(again))) < 40
+
+
+def test_bytes_that_are_missing_in_the_first_chunk_cost_no_other(tmp_path: Path) -> None:
+    """Topics were defined there, and the end of the file is elsewhere than it says: the whole file was refused."""
+    noise = np.random.default_rng(5).integers(0, 256, (40, 96, 128), np.uint8)
+    frames = [dataclasses.replace(frame, image=image) for frame, image in zip(night_frames(40), noise, strict=True)]
+    damaged = recorded(tmp_path / "drive.mcap", ListSource(frames))
+    content = damaged.read_bytes()
+    damaged.write_bytes(content[:20_000] + content[20_100:])
+    with pytest.raises(ValueError, match=r"drive\.mcap: byte \d+: .*damaged"):
+        list(open_source(damaged))
+    assert 20 <= len(list(open_source(damaged, on_error="skip"))) < 40
 
 
 @pytest.mark.slow

@@ -35,8 +35,9 @@ are in it."""
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0B, 0x0F
 _METADATA, _METADATA_INDEX = 0x0C, 0x0D
 _READ = frozenset({_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK})
-_FOOTER_BYTES = 20
+_FOOTER_BYTES, _DATA_END_BYTES = 20, 4
 _HEAD_BYTES = 9  # a record: opcode (1 byte), length (8), content
+_DATA_END_HEAD = bytes([_DATA_END, *_DATA_END_BYTES.to_bytes(8, "little")])
 
 
 _MAX_END_BYTES = 1 << 12
@@ -175,15 +176,23 @@ class McapFile:
 
     def _summary_heads(self, file: BinaryIO) -> Iterator[tuple[int, int]]:
         """Opcode and length of each record of the summary at the end of the file, which is then at its content."""
-        file.seek(max(0, self._end - len(MAGIC) - _FOOTER_BYTES))
+        footer = max(0, self._end - len(MAGIC) - _FOOTER_BYTES)
+        file.seek(footer)
         start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
-        if not 0 < start < self._end:
-            return
-        file.seek(start)
-        for _, kind, length in self._heads(file, _raise):
-            if kind == _FOOTER or length > MAX_BYTES:
+        places = () if start == 0 else (start, _behind_data(file, self._end))  # elsewhere where bytes are missing
+        for found in places:
+            if found < footer and self._leads_to(file, found, footer - _HEAD_BYTES):
+                file.seek(found)
+                for position, kind, length in self._heads(file, _raise):
+                    if position + _HEAD_BYTES >= footer or length > MAX_BYTES:
+                        return
+                    yield kind, length
                 return
-            yield kind, length
+
+    def _leads_to(self, file: BinaryIO, start: int, end: int) -> bool:
+        """Whether the records from `start` on follow each other up to `end`."""
+        file.seek(start)
+        return any(position == end for position, _, _ in self._heads(file, lambda _: None))
 
     def _heads(self, file: BinaryIO, refuse: Refuse) -> Iterator[tuple[int, int, int]]:
         """Position, opcode and length of each complete record; `file` is then at its content. Ends at a cut record."""
@@ -237,6 +246,12 @@ class _Channels:
         schema = cursor.number("H", "schema_id")
         topic, encoding = cursor.text("topic"), cursor.text("message_encoding")
         self.topics[number] = Topic(topic, self._schemas.get(schema, ""), encoding)
+
+
+def _behind_data(file: BinaryIO, end: int) -> int:
+    """Position behind the last record before `end` that looks like the one that ends the data."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        return data.rfind(_DATA_END_HEAD, 0, end) + len(_DATA_END_HEAD) + _DATA_END_BYTES
 
 
 def _next_chunk(file: BinaryIO, start: int) -> int | None:
