@@ -19,8 +19,11 @@ from foreglow.types import Tracks
 SURE_DIRECT = 0.9
 """A track is surely a lamp if its probability of that is above this: chosen in decision 21."""
 
-SPAN_M = 2.6
-"""Two lamps of a vehicle are at most so far apart: those of the widest."""
+VEHICLE_M = 1.3
+"""Distance across the line of sight from a visible lamp to beyond the driver's eyes: a lorry is 2.5 m wide."""
+
+SPAN_M = 2.0 * VEHICLE_M
+"""Two lamps of a vehicle are at most so far apart."""
 
 BESIDE_M = 6.0
 """Light further aside of its lamp than this, at the lamp's range, is no longer told from another vehicle's lamp."""
@@ -40,14 +43,14 @@ def lamps_in_sight(tracks: Tracks, min_direct: float, camera: Camera | None) -> 
         return is_lamp
     of_tracks, is_sure = tracks.vehicles.of_tracks, tracks.is_plausible & (direct > SURE_DIRECT)
     is_unsure = is_lamp & (direct <= SURE_DIRECT)
+    left_m, right_m = tracks.boxes_xyxy_px.T[::2] / camera.focal_px[0]  # at a range of 1 m
     for vehicle in np.unique(of_tracks[is_sure]):
         sure, unsure = (np.flatnonzero(found & (of_tracks == vehicle)) for found in (is_sure, is_unsure))
-        left_m, right_m = (tracks.boxes_xyxy_px[:, k] / camera.focal_px[0] for k in (0, 2))  # at a range of 1 m
         ranges_m = tracks.ranges_m[sure]
         aside = np.maximum(left_m[unsure, np.newaxis] - right_m[sure], left_m[sure] - right_m[unsure, np.newaxis])
         aside_m = np.maximum(aside, 0.0) * ranges_m
         middles = 0.5 * (left_m + right_m)[sure]
         apart_m = np.abs(middles[:, np.newaxis] - middles) * np.minimum(ranges_m[:, np.newaxis], ranges_m)
-        reach_m = BESIDE_M if apart_m.max() <= SPAN_M else 0.5 * SPAN_M  # not with a range that is unknown, NaN
+        reach_m = BESIDE_M if apart_m.max() <= SPAN_M else VEHICLE_M  # not with a range that is unknown, NaN
         is_lamp[unsure] = ~(aside_m <= reach_m).any(axis=1)
     return is_lamp

@@ -12,7 +12,7 @@ import numpy as np
 from foreglow.beam.bearings import NO_VEHICLE, Bearing, Bearings
 from foreglow.beam.gap_writer import GapWriter
 from foreglow.beam.gaps import Gap
-from foreglow.beam.in_sight import SURE_DIRECT
+from foreglow.beam.in_sight import SURE_DIRECT, VEHICLE_M
 from foreglow.beam.interface import BeamPolicy
 from foreglow.beam.occurrence import Occurrence, occurrence
 from foreglow.beam.questions import Questions
@@ -21,9 +21,6 @@ from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
 from foreglow.plugins import METHODS, find, make
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
-
-VEHICLE_M = 1.3
-"""Distance across the line of sight from a visible lamp to beyond the driver's eyes: a lorry is 2.5 m wide."""
 
 OUTSIDE_M = 0.6
 """The same away from the vehicle's other lamp, where that is in sight: to the outside of the body and its mirrors."""

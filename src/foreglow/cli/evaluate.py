@@ -152,14 +152,13 @@ def _examined_model(
         looks = look_sink(dataset, None, configuration)
         opening = Opening(open_labelled, (split,))
         summary = run_in_parallel(opening, str(split), folder, configuration, workers, looks)
-        for line in (*bits_notes(looks.brightest, configuration.guard.white_level), *boxes_notes(configuration)):
-            typer.echo(line)
         if summary.is_interrupted:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")
     classifier = configuration.classifier
     examination = examine(labels, found, classifier.score_threshold, str(classifier.model), summary.run_time_ms)
-    examination = dataclasses.replace(examination, notes=(*dataset.notes, *examination.notes))
+    notes = [*bits_notes(looks.brightest, configuration.guard.white_level), *boxes_notes(configuration)]
+    examination = dataclasses.replace(examination, notes=(*dataset.notes, *examination.notes, *notes))
     if seed is None:
         return examination
     with ProgressSink(dataset.num_frames) as progress:

@@ -127,9 +127,9 @@ def _say_left_out(played: FrameSource, num_frames: int) -> None:
     from foreglow.runtime.run import check_readable
 
     check_readable(origin_name(played), num_frames, played.skipped)
-    lack = how_read(played)["source_lack"]
     lines = [*left_out_lines(played.skipped, len(lost_parts(played))), *source_notes(played)]
-    for line in [*lines, *([] if lack is None else [lack])]:
+    lines += filter(None, [how_read(played)["source_lack"]])
+    for line in lines:
         typer.echo(printable(line))
 
 

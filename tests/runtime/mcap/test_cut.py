@@ -111,6 +111,15 @@ def test_bytes_that_are_missing_in_the_first_chunk_cost_no_other(tmp_path: Path)
     assert 20 <= len(list(open_source(damaged, on_error="skip"))) < 40
 
 
+def test_of_a_damaged_end_what_is_before_the_damage_is_known(tmp_path: Path) -> None:
+    damaged = recorded(tmp_path / "drive.mcap", ListSource(night_frames(40)))
+    content = bytearray(damaged.read_bytes())
+    content[-(8 + 20 + 9) - 18] = 0xFF  # the length of the last record before the footer
+    content[2_700] ^= 1  # the first chunk, which defines the topics
+    damaged.write_bytes(content)
+    assert 20 <= len(list(open_source(damaged, on_error="skip"))) < 40
+
+
 @pytest.mark.slow
 def test_so_do_workers_and_a_replay(cut: Path, tmp_path: Path) -> None:
     for number, command in enumerate([("run", cut, "--jobs", 2), ("live", cut, "--speed", 0)]):

@@ -38,10 +38,7 @@ _READ = frozenset({_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK})
 _FOOTER_BYTES, _DATA_END_BYTES = 20, 4
 _HEAD_BYTES = 9  # a record: opcode (1 byte), length (8), content
 _DATA_END_HEAD = bytes([_DATA_END, *_DATA_END_BYTES.to_bytes(8, "little")])
-
-
-_MAX_END_BYTES = 1 << 12
-"""Longest record of metadata about the end that is read; ours has some 60 bytes."""
+_MAX_END_BYTES = 1 << 12  # longest record of metadata about the end that is read; ours has some 60
 
 MAX_BREAKS = 100
 """In the order of records; a file may be made of chunks within chunks, each of which is read to its end."""
@@ -179,18 +176,23 @@ class McapFile:
         footer = max(0, self._end - len(MAGIC) - _FOOTER_BYTES)
         file.seek(footer)
         start = Cursor(memoryview(file.read(_FOOTER_BYTES))).number("Q", "summary")
-        places = () if start == 0 else (start, _behind_data(file, self._end))  # elsewhere where bytes are missing
-        for found in places:
-            if found < footer and self._leads_to(file, found, footer - _HEAD_BYTES):
-                file.seek(found)
-                for position, kind, length in self._heads(file, _raise):
-                    if position + _HEAD_BYTES >= footer or length > MAX_BYTES:
-                        return
-                    yield kind, length
+        if start == 0:
+            return
+        last = footer - _HEAD_BYTES
+        if not self._leads_to(file, start, last) and self._leads_to(file, behind := _behind_data(file, footer), last):
+            start = behind  # bytes are missing before
+        if start >= self._end:
+            return
+        file.seek(start)
+        for position, kind, length in self._heads(file, _raise):
+            if position >= last or length > MAX_BYTES:
                 return
+            yield kind, length
 
     def _leads_to(self, file: BinaryIO, start: int, end: int) -> bool:
         """Whether the records from `start` on follow each other up to `end`."""
+        if start > end:
+            return False
         file.seek(start)
         return any(position == end for position, _, _ in self._heads(file, lambda _: None))
 

@@ -8,8 +8,8 @@
 Labels are points, and these measures want boxes. As in the paper's own annotations the box of a light is a proposal
 that contains its key point: here the smallest one. Lights in the same box are one object, with the number of the one
 that came first; a light that no proposal contains gets a square around it. Of lights with the same numbers in one image
-each is an object. A track in an image whose box holds no light
-but a doubtful one is left out, since nobody is to be blamed for it.
+each is an object. A track in an image whose box holds no light but a doubtful one is left out, since nobody is to be
+blamed for it.
 """
 
 from __future__ import annotations
