@@ -76,9 +76,8 @@ def test_a_sure_one_that_may_not_be_acted_on_rules_nothing_out() -> None:
         ([0.0], -5.0, False),
         ([0.0], 8.0, True),  # too far for light of the lamp
         ([0.0, 1.5], -5.0, False),
-        ([0.0, 8.0], 4.5, True),  # between the lamps of two vehicles
-        ([0.0, 8.0], 1.5, False),
-        ([0.0, 8.0], 7.0, False),
+        ([0.0, 8.0], 4.5, True),  # the lamps are those of two vehicles
+        ([0.0, 8.0], 1.5, True),
     ],
 )
 def test_what_is_too_far_aside_of_the_sure_ones_is_no_light_of_theirs(
@@ -89,6 +88,34 @@ def test_what_is_too_far_aside_of_the_sure_ones_is_no_light_of_theirs(
     direct = [*([SURE] * len(sure_m)), UNSURE]
     tracks = tracks_with(direct, vehicles=[7] * len(direct), azimuths_rad=azimuths_rad, range_m=40.0)
     assert lamps_in_sight(tracks, MIN_DIRECT, CAMERA).tolist() == [*([True] * len(sure_m)), is_lamp]
+
+
+@pytest.mark.parametrize(
+    ("sure_kinds", "unsure_kinds", "is_lamp"),
+    [
+        ([0.95, 0.0, 0.05, 0.0], [0.6, 0.02, 0.36, 0.02], False),
+        ([0.95, 0.0, 0.05, 0.0], [0.6, 0.2, 0.2, 0.0], True),  # it may be a rear lamp
+        ([0.95, 0.0, 0.05, 0.0], [0.1, 0.5, 0.4, 0.0], True),
+        ([0.0, 0.95, 0.0, 0.05], [0.6, 0.02, 0.36, 0.02], True),  # rear lamps light nothing like that
+        ([0.5, 0.45, 0.05, 0.0], [0.6, 0.02, 0.36, 0.02], True),
+    ],
+)
+def test_only_light_of_front_lamps_looks_like_front_lamps(
+    sure_kinds: list[float], unsure_kinds: list[float], *, is_lamp: bool
+) -> None:
+    """On a motorway, far vehicles beside the rear lamps of a near one were left without protection."""
+    tracks = tracks_with([SURE, UNSURE], vehicles=[7, 7])
+    tracks = dataclasses.replace(tracks, light_kinds=np.array([sure_kinds, unsure_kinds]))
+    assert lamps_in_sight(tracks, MIN_DIRECT, CAMERA).tolist() == [True, is_lamp]
+
+
+def test_a_sure_rear_lamp_far_from_the_front_lamp_makes_them_two_vehicles() -> None:
+    azimuths_rad = [math.atan2(each, 40.0) for each in (0.0, 8.0, 1.5)]
+    tracks = tracks_with([SURE, SURE, UNSURE], vehicles=[7, 7, 7], azimuths_rad=azimuths_rad, range_m=40.0)
+    kinds = tracks.light_kinds.copy()
+    kinds[1] = [0.0, 1.0, 0.0, 0.0]
+    tracks = dataclasses.replace(tracks, light_kinds=kinds)
+    assert lamps_in_sight(tracks, MIN_DIRECT, CAMERA).tolist() == [True, True, True]
 
 
 @pytest.mark.parametrize("is_without", ["camera", "range"])

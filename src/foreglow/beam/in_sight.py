@@ -1,11 +1,11 @@
-"""Which tracks are lamps in sight: those that the network takes for one, unless a lamp beside them is the surer one.
+"""Which tracks are lamps in sight: those that the network takes for one, unless a front lamp beside them is surer.
 
-A lamp lights what is beside it, and some of that light looks half like a lamp: on a rail or on leaves close to the
-lamp. As long as no lamp of the vehicle is surely in sight, such a track may be the lamp itself. Once one is, the others
-of the same vehicle count as its light, unless they are as sure or too far aside.
+A front lamp lights what is beside it, and some of that light looks half like a lamp: on a rail or on leaves close to
+the lamp. As long as no lamp of the vehicle is surely in sight, such a track may be the lamp itself. Once a front lamp
+is, the others of the same vehicle count as its light, unless they are as sure, too far aside, or may be rear lamps.
 
 In dense traffic, lights of many vehicles may count as one vehicle's. Its sure lamps are further apart then than those
-of one vehicle, and only what lies within the width of a vehicle beside one of them is taken for its light.
+of one vehicle, and nothing is taken for their light.
 """
 
 from __future__ import annotations
@@ -42,15 +42,17 @@ def lamps_in_sight(tracks: Tracks, min_direct: float, camera: Camera | None) -> 
     if tracks.vehicles is None or camera is None:
         return is_lamp
     of_tracks, is_sure = tracks.vehicles.of_tracks, tracks.is_plausible & (direct > SURE_DIRECT)
-    is_unsure = is_lamp & (direct <= SURE_DIRECT)
+    front_lamp, _, front_light, _ = tracks.light_kinds.T
+    is_front = is_sure & (front_lamp > SURE_DIRECT)
+    is_unsure = is_lamp & (direct <= SURE_DIRECT) & (front_lamp + front_light > SURE_DIRECT)
     left_m, right_m = tracks.boxes_xyxy_px.T[::2] / camera.focal_px[0]  # at a range of 1 m
-    for vehicle in np.unique(of_tracks[is_sure]):
-        sure, unsure = (np.flatnonzero(found & (of_tracks == vehicle)) for found in (is_sure, is_unsure))
-        ranges_m = tracks.ranges_m[sure]
-        aside = np.maximum(left_m[unsure, np.newaxis] - right_m[sure], left_m[sure] - right_m[unsure, np.newaxis])
-        aside_m = np.maximum(aside, 0.0) * ranges_m
-        middles = 0.5 * (left_m + right_m)[sure]
+    for vehicle in np.unique(of_tracks[is_front]):
+        is_its = of_tracks == vehicle
+        sure, front, unsure = (np.flatnonzero(is_its & found) for found in (is_sure, is_front, is_unsure))
+        ranges_m, middles = tracks.ranges_m[sure], 0.5 * (left_m + right_m)[sure]
         apart_m = np.abs(middles[:, np.newaxis] - middles) * np.minimum(ranges_m[:, np.newaxis], ranges_m)
-        reach_m = BESIDE_M if apart_m.max() <= SPAN_M else VEHICLE_M  # not with a range that is unknown, NaN
-        is_lamp[unsure] = ~(aside_m <= reach_m).any(axis=1)
+        if apart_m.max() <= SPAN_M:  # not with a range that is unknown, NaN
+            aside = np.maximum(left_m[unsure, np.newaxis] - right_m[front], left_m[front] - right_m[unsure, np.newaxis])
+            aside_m = np.maximum(aside, 0.0) * tracks.ranges_m[front]
+            is_lamp[unsure] = ~(aside_m <= BESIDE_M).any(axis=1)
     return is_lamp
