@@ -60,6 +60,18 @@ def test_rates_settle(rate_radps: float) -> None:
     assert abs(rates[1]) < abs(rate_radps) + 1e-9  # one step alone is not believed
 
 
+@pytest.mark.parametrize("rate_hz", [36.0, 60.0])
+def test_rates_are_as_calm_from_faster_cameras(rate_hz: float) -> None:
+    def spread_radps(hz: float) -> float:
+        bearings, rng, rates = Bearings(), np.random.default_rng(5), []
+        for number in range(round(20 * hz)):
+            frame = dataclasses.replace(frame_at(0), timestamp_ns=round(number / hz * 1e9))
+            rates.append(bearings.update(frame, followed(0.1 + 0.003 * rng.standard_normal()))[7].rate_radps)
+        return float(np.std(rates))
+
+    assert spread_radps(rate_hz) < 1.2 * spread_radps(18.0)
+
+
 def test_without_a_range_the_direction_stays_the_cameras() -> None:
     tracks = dataclasses.replace(followed(0.2), ranges_m=np.array([math.nan]), sigmas_m=np.array([math.inf]))
     bearing = Bearings().update(frame_at(0), tracks)[7]

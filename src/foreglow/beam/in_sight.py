@@ -2,7 +2,8 @@
 
 A front lamp lights what is beside it, and some of that light looks half like a lamp: on a rail or on leaves close to
 the lamp. As long as no lamp of the vehicle is surely in sight, such a track may be the lamp itself. Once a front lamp
-is, the others of the same vehicle count as its light, unless they are as sure, too far aside, or may be rear lamps.
+is, the others of the same vehicle count as its light, unless they are as sure or too far aside. Light of rear lamps
+hardly looks like a lamp.
 
 In dense traffic, lights of many vehicles may count as one vehicle's. Its sure lamps are further apart then than those
 of one vehicle, and nothing is taken for their light.
@@ -42,9 +43,8 @@ def lamps_in_sight(tracks: Tracks, min_direct: float, camera: Camera | None) -> 
     if tracks.vehicles is None or camera is None:
         return is_lamp
     of_tracks, is_sure = tracks.vehicles.of_tracks, tracks.is_plausible & (direct > SURE_DIRECT)
-    front_lamp, _, front_light, _ = tracks.light_kinds.T
-    is_front = is_sure & (front_lamp > SURE_DIRECT)
-    is_unsure = is_lamp & (direct <= SURE_DIRECT) & (front_lamp + front_light > SURE_DIRECT)
+    is_front = is_sure & (tracks.light_kinds[:, 0] > SURE_DIRECT)
+    is_unsure = is_lamp & (direct <= SURE_DIRECT)
     left_m, right_m = tracks.boxes_xyxy_px.T[::2] / camera.focal_px[0]  # at a range of 1 m
     for vehicle in np.unique(of_tracks[is_front]):
         is_its = of_tracks == vehicle

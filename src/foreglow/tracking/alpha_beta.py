@@ -28,6 +28,25 @@ def steady_betas(alphas: ArrayLike) -> Floats:
     return np.asarray(gains**2 / (2.0 - gains))  # (3)
 
 
+def frames_in(step_s: float, rate_hz: float) -> float:
+    """How many frames at `rate_hz` a step counts for, in hundredths: at most one, however long.
+
+    >>> frames_in(1 / 18, 18.0), frames_in(1 / 60, 18.0), frames_in(0.25, 18.0)
+    (1.0, 0.3, 1.0)
+    """
+    return min(max(round(step_s * rate_hz, 2), 0.01), 1.0)
+
+
+def gain_in(alphas: ArrayLike, num_frames: float) -> Floats:
+    """Gains, or weights of moving means, that do in 1 / `num_frames` steps what `alphas` do in one.
+
+    >>> gain_in([0.75, 1.0], 0.5).tolist()
+    [0.5, 1.0]
+    """
+    gains = np.asarray(alphas, np.float64)
+    return gains if num_frames == 1.0 else np.asarray(1.0 - (1.0 - gains) ** num_frames)
+
+
 def predict(values: Floats, rates: Floats, dt_s: float) -> Floats:
     """Values, shape (M, K), after `dt_s` if they change by `rates`, shape (M, K), per second."""
     return values + rates * dt_s  # (1)

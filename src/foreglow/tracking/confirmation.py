@@ -71,6 +71,7 @@ class Observations:
         was_plausible: Shape (M,), before this frame.
         since_others_s: Shape (M,), time since any other track was plausible, not counting this frame; infinite if none
             ever was.
+        num_frames: How many frames at the tracker's rate this one counts for, at most 1.
     """
 
     scores: Floats
@@ -78,6 +79,7 @@ class Observations:
     confidences: Floats
     was_plausible: NDArray[np.bool_]
     since_others_s: Floats
+    num_frames: float = 1.0
 
 
 class Company:
@@ -164,7 +166,7 @@ class EvidenceRule:
         with np.errstate(divide="ignore"):
             logits = np.log(observed.scores) - np.log1p(-observed.scores)
         hits = np.minimum(np.maximum(logits, -MAX_SCORE_EVIDENCE), MAX_SCORE_EVIDENCE) - self._neutral  # (1)
-        evidence = memory[:, 0] + np.where(np.isnan(hits), self._miss, hits)
+        evidence = memory[:, 0] + observed.num_frames * np.where(np.isnan(hits), self._miss, hits)
         evidence = np.minimum(np.maximum(evidence, 0.0), MAX_EVIDENCE)  # (3)
         is_second = observed.since_others_s <= self._company_s
         needed = self._confirm + np.where(is_second, self._company, 0.0)

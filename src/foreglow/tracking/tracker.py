@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import TrackerConfig
 from foreglow.geometry import Camera, Floats
-from foreglow.tracking.alpha_beta import correct, moving_mean, predict, steady_betas
+from foreglow.tracking.alpha_beta import correct, frames_in, gain_in, moving_mean, predict, steady_betas
 from foreglow.tracking.association import (
     ASSOCIATIONS,
     UNASSIGNED,
@@ -55,8 +55,7 @@ class AlphaBetaTracker(Tracker):
 
     def __init__(self, config: TrackerConfig) -> None:
         self._config = config
-        alphas = np.repeat([config.alpha_centre, config.alpha_size, config.alpha_range], [2, 2, 1])
-        self._gains = (alphas, steady_betas(alphas))
+        self._alphas = np.repeat([config.alpha_centre, config.alpha_size, config.alpha_range], [2, 2, 1])
         self._assign = ASSOCIATIONS[config.association]
         self._rule = CONFIRMATIONS[config.confirmation](config)
         self._vehicles = VehicleGroups(config) if config.vehicle_gate else None
@@ -92,6 +91,7 @@ class AlphaBetaTracker(Tracker):
             step_s = 1.0 / self._config.rate_hz
         step_s = max(step_s, MIN_STEP_S)  # rates divide by it
         self._now_s += step_s
+        self._num_frames = frames_in(step_s, self._config.rate_hz)
         self._size_px = size_px
         self._timestamp_ns, self._boxes = frame.timestamp_ns, detections.boxes_xyxy_px
 
@@ -116,7 +116,7 @@ class AlphaBetaTracker(Tracker):
         boxes_xyxy_px = corners(states.values)
         if self._vehicles is not None:
             states.is_plausible, vehicles = self._vehicles.update(
-                self._now_s, states, boxes_xyxy_px, self._evidence(scores)
+                self._now_s, states, boxes_xyxy_px, self._evidence(scores), self._num_frames
             )
         self._tracks = self._as_tracks(states, boxes_xyxy_px, vehicles)
         return self._tracks
@@ -132,6 +132,11 @@ class AlphaBetaTracker(Tracker):
         if self._config.clock == "frames" or self._timestamp_ns is None:
             return 1.0 / self._config.rate_hz
         return (frame.timestamp_ns - self._timestamp_ns) / 1e9
+
+    @property
+    def _weight(self) -> float:
+        """Of the newest value in moving means."""
+        return float(gain_in(self._config.alpha_confidence, self._num_frames))
 
     def _born(self, count: int) -> TrackStates:
         ids = np.arange(self._next_id, self._next_id + count)
@@ -170,7 +175,8 @@ class AlphaBetaTracker(Tracker):
         sizes, rates = self._states.values[:, SIZES], self._states.rates[:, SIZES]
         areas_px = sizes.prod(axis=1)
         rates_px_per_s = 0.5 * np.sqrt(areas_px) * (rates / sizes).sum(axis=1)
-        noise = rate_noise(self._config.alpha_size, float(self._gains[1][RANGE - 1]), 1.0 / self._config.rate_hz)
+        alpha = float(gain_in(self._config.alpha_size, self._num_frames))
+        noise = rate_noise(alpha, float(steady_betas(alpha)), self._num_frames / self._config.rate_hz)
         looming = looming_ranges(np.sqrt(areas_px), rates_px_per_s, frame.motion.speed_mps, noise)
         ranges_m, sigmas_m = fused((taken.values[:, RANGE], taken.sigmas_m), looming)
         is_taken = taken.detections != UNASSIGNED
@@ -185,7 +191,7 @@ class AlphaBetaTracker(Tracker):
         since_s = self._now_s - states.measured_s[:, 0]
         moved_px = found_px - states.found_px
         newest = restlessness(moved_px - states.drifts_pxps * since_s, focal_px, since_s * self._config.rate_hz)
-        states.restless = moving_mean(states.restless, newest, self._config.alpha_confidence)
+        states.restless = moving_mean(states.restless, newest, self._weight)
         states.drifts_pxps = np.where(np.isnan(moved_px), states.drifts_pxps, moved_px / since_s)
         states.found_px = np.where(np.isnan(found_px), states.found_px, found_px)
 
@@ -194,11 +200,12 @@ class AlphaBetaTracker(Tracker):
         states = self._states
         is_hit = taken.detections != UNASSIGNED
         since_s = self._now_s - states.measured_s
-        states.values, states.rates = correct(states.values, states.rates, taken.values, since_s, self._gains)
+        alphas = gain_in(self._alphas, self._num_frames)
+        gains = (alphas, steady_betas(alphas))
+        states.values, states.rates = correct(states.values, states.rates, taken.values, since_s, gains)
         states.measured_s = np.where(np.isnan(taken.values), states.measured_s, self._now_s)
-        weight = self._config.alpha_confidence
-        states.confidences = moving_mean(states.confidences, taken.scores, weight)
-        states.light_kinds = moving_mean(states.light_kinds, taken.light_kinds, weight)
+        states.confidences = moving_mean(states.confidences, taken.scores, self._weight)
+        states.light_kinds = moving_mean(states.light_kinds, taken.light_kinds, self._weight)
         states.num_hits = states.num_hits + is_hit
         states.num_misses = np.where(is_hit, 0, states.num_misses + 1)
         # A single miss ends no track, however long the gap before it.
@@ -230,6 +237,7 @@ class AlphaBetaTracker(Tracker):
             confidences=states.confidences,
             was_plausible=states.is_plausible,
             since_others_s=self._company.since_others_s(states.ids, self._now_s),
+            num_frames=self._num_frames,
         )
         states.memory, states.is_plausible = self._rule.update(states.memory, observed)
         self._company.note(states.ids[states.is_plausible], self._now_s)
@@ -243,7 +251,8 @@ class AlphaBetaTracker(Tracker):
             unmeasured_s = self._now_s - states.measured_s[:, RANGE]
             states.sigmas_m = mean_of(states.sigma_history) + RANGE_RATE_SIGMA_MPS * unmeasured_s  # (2), `track_range`
         else:
-            states.sigmas_m = filtered_sigmas(states.sigmas_m, taken.sigmas_m, step_s, self._config.alpha_range)
+            alpha = float(gain_in(self._config.alpha_range, self._num_frames))
+            states.sigmas_m = filtered_sigmas(states.sigmas_m, taken.sigmas_m, step_s, alpha)
 
     def _end(self, frame: Frame) -> None:
         """Ends tracks that were missed for too long, have left the image, or duplicate another track."""

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import connected_components
 
 from foreglow.config import TrackerConfig
 from foreglow.geometry import Floats
-from foreglow.tracking.alpha_beta import moving_mean
+from foreglow.tracking.alpha_beta import gain_in, moving_mean
 from foreglow.tracking.confirmation import CONFIRMATIONS, Company, Observations
 from foreglow.tracking.states import RANGE, TrackStates
 from foreglow.types import TrackState, Vehicles
@@ -104,7 +104,7 @@ class VehicleGroups:
         self._states = _unseen(none, self._rule.memory_size)
 
     def update(
-        self, now_s: float, tracks: TrackStates, boxes_xyxy_px: Floats, scores: Floats
+        self, now_s: float, tracks: TrackStates, boxes_xyxy_px: Floats, scores: Floats, num_frames: float
     ) -> tuple[NDArray[np.bool_], Vehicles]:
         """Which tracks are plausible, shape (M,), and their vehicles, after this frame.
 
@@ -113,6 +113,7 @@ class VehicleGroups:
             tracks: Those of the frame.
             boxes_xyxy_px: Shape (M, 4), their boxes.
             scores: Shape (M,), of their detections, as evidence; NaN where a track was missed.
+            num_frames: As in `Observations`.
         """
         vehicle_ids = self._vehicles_of(now_s, tracks.ids, boxes_xyxy_px)
         states = self._states
@@ -120,13 +121,15 @@ class VehicleGroups:
         best = np.full(len(states.ids), np.nan)
         np.fmax.at(best, vehicles, scores)
         states.num_hits = states.num_hits + ~np.isnan(best)
-        states.confidences = moving_mean(states.confidences, best, self._alpha_confidence)
+        weight = float(gain_in(self._alpha_confidence, num_frames))
+        states.confidences = moving_mean(states.confidences, best, weight)
         observed = Observations(
             scores=best,
             num_hits=states.num_hits,
             confidences=states.confidences,
             was_plausible=states.is_plausible,
             since_others_s=self._company.since_others_s(states.ids, now_s),
+            num_frames=num_frames,
         )
         states.memory, states.is_plausible = self._rule.update(states.memory, observed)
         self._company.note(states.ids[states.is_plausible], now_s)
