@@ -352,6 +352,19 @@ def test_a_pipeline_cannot_be_copied(copied: Callable[[Pipeline], object]) -> No
         copied(Pipeline(REFERENCE))
 
 
+def test_runs_of_a_pipeline_do_not_mix() -> None:
+    """Two that took turns were one drive to the stages, and nothing said so; one that is not ended is forgotten."""
+    pipeline, frames = Pipeline(REFERENCE), shipped_frames(60, 3)
+    first = pipeline.run(frames)
+    next(first)
+    second = pipeline.run(frames)
+    begun = next(second)
+    with pytest.raises(RuntimeError, match=r"Pipeline\.run: another run has begun"):
+        next(first)
+    expected = [identity(result) for result in Pipeline(REFERENCE).run(frames)]
+    assert [identity(result) for result in (begun, *second)] == expected
+
+
 class Crowded(BeamPolicy):
     """A policy of far too many gaps."""
 

@@ -206,6 +206,7 @@ class Pipeline:
         self._stopwatch = Stopwatch()
         self._sequence: str | None = None  # of the frame before; None where the next frame begins anew
         self._has_failed = False  # in the frame before
+        self._run: object = None  # the latest one
         self._lock = threading.Lock()
 
     @property
@@ -230,8 +231,8 @@ class Pipeline:
         the frame after an error, but for what the guard knows of the camera.
 
         Args:
-            frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0.
-                Without a camera in it nothing has a range.
+            frame: A frame, or a plain grey image (height, width) of uint8 or uint16, taken as frame 0 at time 0, so
+                for one image; those of a drive need their times. Without a camera in it nothing has a range.
             now_ns: The frames' clock, by which the guard sees how old the image is when its command is there; None off
                 line, where no time passes. Nothing else knows of it.
             faults: What is known to be wrong around the pipeline, such as frames that did not come; any of it means
@@ -285,17 +286,22 @@ class Pipeline:
 
         Raises:
             TypeError: If they are no frames but the path of a source.
+            RuntimeError: If another run of this pipeline has begun meanwhile, as it would know this one's frames.
         """
         if isinstance(frames, str | os.PathLike):
             raise TypeError(f"frames: expected frames, such as foreglow.open_source({str(frames)!r}), got a path")
         self.reset()
+        self._run = run = object()
         for frame in frames:
+            if self._run is not run:
+                raise RuntimeError("Pipeline.run: another run has begun: end one before the next, or use two pipelines")
             yield self.step(frame)
 
     def reset(self) -> None:
         """Has the next frame begin anew, as at the start of a sequence: nothing of earlier frames counts for it.
 
-        `step` does so itself where the sequence changes: this is for frames that are run a second time.
+        `step` does so itself where the sequence changes: this is for frames that are run a second time, and for those
+        of another file, as videos and folders have no sequence.
 
         Raises:
             RuntimeError: If another thread is inside `step` of this pipeline.

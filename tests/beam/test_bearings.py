@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -14,6 +15,7 @@ from foreglow.beam.bearings import Bearings
 from foreglow.geometry import Pose, rotation
 from foreglow.types import Tracks, TrackState
 from tests.beam.made_up import FRAME_NS, box_around, frame_at, from_origin, tracks_of
+from tests.beam.policy_scenes import LAMP, brightest_there, policy, tracks_at
 
 S = FRAME_NS / 1e9
 
@@ -111,3 +113,22 @@ def test_the_same_time_again_changes_no_rate() -> None:
     for number in (0, 1, 1):
         bearing = bearings.update(frame_at(number), followed(0.1 * number, number=number))[7]
     assert math.isfinite(bearing.rate_radps)
+
+
+def test_two_frames_that_came_at_once_make_no_light_fast() -> None:
+    """A queue gave them times 10 us apart: the noise of a box was hundreds of radians a second, for seconds."""
+    bearings, first = Bearings(), frame_at(0)
+    bearings.update(first, followed(0.1))
+    at_once = dataclasses.replace(first, timestamp_ns=first.timestamp_ns + 10_000)
+    assert abs(bearings.update(at_once, followed(0.101))[7].rate_radps) < 0.5
+
+
+@pytest.mark.parametrize("step_ns", [1, 10_000, 1_000_000])
+def test_a_lamp_that_jumps_between_frames_that_came_at_once_has_a_gap(step_ns: int) -> None:
+    """The gap led it by more than a turn, and no command could be made of it."""
+    for latency_s, jump_rad in itertools.product((0.15, 2.0), (-0.4, 0.01, 0.4)):
+        made, first = policy(latency_s=latency_s), frame_at(0)
+        for number in range(4):
+            now = dataclasses.replace(first, timestamp_ns=first.timestamp_ns + number * step_ns)
+            command = made.command(now, tracks_at(number, LAMP._replace(azimuth_rad=0.05 + jump_rad * (number % 2))))
+        assert brightest_there(command, 0.05 + jump_rad) < 0.1

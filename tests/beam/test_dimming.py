@@ -86,6 +86,16 @@ def test_without_gaps_all_is_lit_and_beside_one_it_stays_so() -> None:
     assert (DIMMER.levels([Gap(-1.3, -1.0, 80.0, 90.0)]) == 1.0).all()
 
 
+@pytest.mark.parametrize("back_rad", [2.0, 3.1, math.pi, 3.3, 6.0, 2 * math.pi])
+def test_a_gap_that_ends_behind_us_is_dark_up_to_the_side(back_rad: float) -> None:
+    """It was bright: its border was taken for one on the other side."""
+    for border_rad in (-0.1, 0.0, 0.3):
+        to_the_left, to_the_right = Gap(border_rad, back_rad, 50.0, 60.0), Gap(-back_rad, border_rad, 50.0, 60.0)
+        left, right = Gap(border_rad, math.pi / 2, 50.0, 60.0), Gap(-math.pi / 2, border_rad, 50.0, 60.0)
+        np.testing.assert_array_equal(DIMMER.levels([to_the_left]), DIMMER.levels([left]))
+        np.testing.assert_array_equal(DIMMER.levels([to_the_right]), DIMMER.levels([right]))
+
+
 def test_each_lamp_has_its_own_place() -> None:
     """What is near ahead of the left lamp lies to the left of the right one."""
     levels = DIMMER.levels([Gap(0.005, 0.055, 12.0, 14.0)]).reshape(2, -1, LAMPS.num_columns).mean(axis=1)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from foreglow.beam import GapWriter
 from foreglow.beam.gaps import Gap, merged
+from foreglow.config import BeamConfig
+from foreglow.photometry import read_headlamps
 
 GAPS = st.builds(
     lambda right, width, near, depth: Gap(right, right + width, near, near + depth),
@@ -50,3 +55,24 @@ def test_gaps_that_touch_are_one_and_others_stay() -> None:
     first, second, third = Gap(0.0, 0.1, 50, 60), Gap(0.1, 0.2, 30, 40), Gap(0.3, 0.4, 9, 9)
     assert merged([third, second, first]) == [Gap(0.0, 0.2, 30, 60), third]
     assert merged([]) == []
+
+
+@pytest.mark.parametrize(
+    "gap",
+    [
+        Gap(0.1, -0.1, 50.0, 60.0),
+        Gap(0.1, 0.1, 50.0, 60.0),
+        Gap(math.nan, 0.1, 50.0, 60.0),
+        Gap(-0.1, 0.1, math.nan, 60.0),
+        Gap(-0.1, 0.1, 50.0, math.nan),
+        Gap(-0.1, 0.1, 60.0, 50.0),
+        Gap(-0.1, 0.1, -1.0, 50.0),
+    ],
+)
+def test_a_gap_of_no_interval_is_refused(gap: Gap) -> None:
+    """A policy of somebody else gives the range of a track, which may be NaN: some of these gaps were lit."""
+    writer = GapWriter(BeamConfig(), read_headlamps())
+    for gaps, dips in (([gap], []), ([], [gap]), ([Gap(-0.3, 0.3, 40.0, 90.0), gap], [])):
+        with pytest.raises(ValueError, match=r"^gaps: expected right_rad < left_rad and .*, got Gap\(right_rad="):
+            writer.command(0, gaps, dips)
+    assert writer.command(0, [Gap(-0.1, 0.1, 0.0, math.inf)]).levels.min() < 0.1

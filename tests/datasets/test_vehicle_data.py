@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +82,22 @@ def test_simulated_frames_carry_calibration_motion_and_road() -> None:
     assert frame.road is not None
     assert expected is not None
     assert np.array_equal(frame.road.points_m, expected.points_m)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda source: pickle.loads(pickle.dumps(source))])
+def test_sources_with_vehicle_data_go_to_other_processes(copied: Callable[[PVDN], PVDN]) -> None:
+    """As images and videos do; one of a simulated split did not, for what it remembered of it."""
+    source = PVDN(shipped_drive())
+    image_id = source.frame_ids[30]
+    frame = source.read(image_id)
+    again = copied(source).read(image_id)
+    assert again.motion is not None
+    assert frame.motion is not None
+    assert again.motion.speed_mps == frame.motion.speed_mps
+    assert again.camera is not None
+    assert frame.camera is not None
+    assert again.camera.focal_px == frame.camera.focal_px
+    assert np.array_equal(again.image, frame.image)
 
 
 def test_a_set_without_vehicle_data(tmp_path: Path) -> None:

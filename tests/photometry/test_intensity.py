@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from foreglow.geometry import Pose, rotation
-from foreglow.photometry import IntensityTable, illuminance_lx, read_headlamps
+from foreglow.photometry import IntensityTable, illuminance_lx, low_beam, read_headlamps
 
 AROUND = np.linspace(-180.0, 180.0, 361)
 UPWARDS = np.linspace(-90.0, 90.0, 181)
@@ -70,6 +72,22 @@ def test_left_is_positive_and_outside_is_dark() -> None:
 def test_bad_tables(azimuths: list[float], intensities: np.ndarray, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         IntensityTable(np.array(azimuths), np.array([0.0, 1.0]), intensities.astype(np.float32))
+
+
+def test_lamps_that_all_share_cannot_be_changed() -> None:
+    """Who moved a built-in table by a degree moved it for every later lamp of the process, and for the guard."""
+    lamps, table = read_headlamps(), low_beam()
+    assert read_headlamps() is lamps
+    matrix, mount = lamps.right.matrix, lamps.right.vehicle_from_lamp
+    arrays: list[Any] = [table.azimuths_deg, table.elevations_deg, table.intensities_cd, matrix.base.azimuths_deg]
+    arrays += [matrix.leds_cd, matrix.azimuths_deg, matrix.elevations_deg, mount.position_m, mount.rotation]
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array += 1
+    angles = AROUND.copy()
+    mine = IntensityTable(angles, UPWARDS, np.ones((181, 361), np.float32))
+    angles += 1.0
+    assert mine.azimuths_deg[0] == -180.0
 
 
 def test_there_is_no_illuminance_where_the_lamp_is() -> None:

@@ -6,7 +6,7 @@ at the azimuth a and the range r, as a camera at (x, y) in the vehicle's frame, 
     forward = x + r cos(a),   left = y + r sin(a),   azimuth = atan2(left, forward),   range = hypot            (1)
 
 Without a range, the camera's azimuth is taken as it is. The rate of the azimuth is an exponential moving mean over
-frames that are dt apart, with the same noise at any frame rate above 18 Hz:
+frames that are dt apart, at least `MIN_STEP_S`, with the same noise at any frame rate above 18 Hz:
 
     rate <- rate + g ((azimuth - azimuth before) / dt - rate),   g = 1 - 0.75^min(dt / (1/18 s), 1)             (2)
 """
@@ -21,7 +21,7 @@ import numpy as np
 from foreglow.beam.in_sight import lamps_in_sight
 from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster
-from foreglow.types import Frame, Tracks
+from foreglow.types import MIN_STEP_S, Frame, Tracks
 
 RATE_GAIN, RATE_STEP_S = 0.25, 1.0 / 18.0
 """Weight of a new rate in the filtered one after such a step or a longer one, (2); a rate from two frames alone would
@@ -121,7 +121,7 @@ class Bearings:
             if before is not None:
                 rate, confidence = before.rate_radps, max(before.confidence, confidence)
                 if step_s > 0.0:
-                    rate += gain * ((azimuth - before.azimuth_rad) / step_s - rate)  # (2)
+                    rate += gain * ((azimuth - before.azimuth_rad) / max(step_s, MIN_STEP_S) - rate)  # (2)
             shift_px = leaving_px * rate
             is_leaving = x1 - max(shift_px, 0.0) <= 0.0 or x2 - min(shift_px, 0.0) >= width_px
             self._bearings[track_id] = Bearing(

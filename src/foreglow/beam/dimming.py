@@ -34,6 +34,9 @@ REACH_RAD = math.radians(45.0)
 
 AZIMUTHS_RAD = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD)
 
+SIDE_RAD = math.pi / 2
+"""A border further back is as one at the side: (1) would take it for one on the other side, and LEDs shine ahead."""
+
 LOWEST_RAD, HIGHEST_RAD = math.radians(-0.5), math.radians(4.0)
 """Elevations at which the eyes and mirrors of others may be, hills and pitching bodies included; so a gap is dark over
 the whole height of the matrix above the road."""
@@ -145,4 +148,5 @@ def _most_cd(headlamps: Headlamps) -> Floats:
 def _ends_m(gap: Gap) -> list[tuple[float, float]]:
     """Where the borders of `gap` begin and end, at r1 and r2: forward and left in the vehicle's frame."""
     ranges_m = {min(gap.near_m, FAR_M), min(gap.far_m, FAR_M)}  # often one and the same
-    return [(range_m * math.cos(border), range_m * math.sin(border)) for border in gap[:2] for range_m in ranges_m]
+    borders = [min(max(border, -SIDE_RAD), SIDE_RAD) for border in gap[:2]]
+    return [(range_m * math.cos(border), range_m * math.sin(border)) for border in borders for range_m in ranges_m]

@@ -13,6 +13,7 @@ from foreglow.beam.questions import DIP
 from foreglow.config import BeamConfig
 from foreglow.photometry import Headlamps
 from foreglow.types import BeamCommand, BeamMode
+from foreglow.wording import shortened
 
 
 class GapWriter:
@@ -27,7 +28,15 @@ class GapWriter:
         self._ramp.reset()
 
     def command(self, timestamp_ns: int, gaps: Sequence[Gap], dips: Sequence[Gap] = ()) -> BeamCommand:
-        """High beam with `gaps`, and with shallow `dips`, which end at once."""
+        """High beam with `gaps`, and with shallow `dips`, which end at once.
+
+        Raises:
+            ValueError: If borders or ranges of a gap are not in order, or one is NaN, as ranges of tracks may be.
+        """
+        for gap in (*gaps, *dips):
+            if not (gap.right_rad < gap.left_rad and 0.0 <= gap.near_m <= gap.far_m):
+                expected = "right_rad < left_rad and 0 <= near_m <= far_m, infinite where unknown"
+                raise ValueError(f"gaps: expected {expected}, got {shortened(gap)}")
         apart = merged(list(gaps))
         levels = self._ramp.step(self._dimmer.levels(apart), timestamp_ns)
         if dips:

@@ -42,6 +42,9 @@ LOWEST_LAMP_M, BEFORE_LORRY_M = 0.5, 12.0
 LEAST_HALF_RAD = math.radians(0.01)
 """Half the width of a gap at least: a box wholly beside the image has none."""
 
+MAX_LEAD_RAD = math.pi / 2
+"""A lamp is not expected further aside than this from where it is: then it is out of the light, however fast it is."""
+
 UNKNOWN_NEAR_M = 40.0
 """A light without a range may be at this distance or any greater one."""
 
@@ -256,7 +259,7 @@ class ForeglowPolicy(BeamPolicy):
         if is_right != is_left:
             right_rad, left_rad = (outside_rad, vehicle_rad) if is_right else (vehicle_rad, outside_rad)
         edge_rad = 2.0 * BOX_SHARE * bearing.half_width_rad + self._margin_rad
-        lead_rad = bearing.rate_radps * self._config.latency_s
+        lead_rad = min(max(bearing.rate_radps * self._config.latency_s, -MAX_LEAD_RAD), MAX_LEAD_RAD)
         return Gap(
             bearing.azimuth_rad - edge_rad + min(lead_rad - right_rad, 0.0),
             bearing.azimuth_rad + edge_rad + max(lead_rad + left_rad, 0.0),

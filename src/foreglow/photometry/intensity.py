@@ -36,6 +36,7 @@ class IntensityTable:
             steps = np.diff(grid)
             if grid.ndim != 1 or len(grid) < 2 or not np.allclose(steps, steps[0], atol=1e-6) or steps[0] <= 0:
                 raise ValueError(f"IntensityTable.{name}: expected at least two angles growing in equal steps")
+            grid.flags.writeable = False  # all users of a built-in lamp have the same table
             object.__setattr__(self, name, grid)
         table = np.array(self.intensities_cd, np.float32)
         if table.shape != (len(self.elevations_deg), len(self.azimuths_deg)):

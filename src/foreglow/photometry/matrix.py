@@ -64,6 +64,12 @@ class MatrixLamp:
     elevations_deg: Floats
     num_columns: int
 
+    def __post_init__(self) -> None:
+        for name in ("azimuths_deg", "elevations_deg"):
+            angles = np.array(getattr(self, name), np.float64)
+            angles.flags.writeable = False
+            object.__setattr__(self, name, angles)
+
     @property
     def num_leds(self) -> int:
         """L, the number of LEDs."""

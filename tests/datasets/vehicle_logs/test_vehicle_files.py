@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -231,3 +232,17 @@ def test_reports_of_the_poses_come_with_the_frames() -> None:
     poses = PoseTrack(times_ns, np.zeros((2, 3)), rotations, has_attitude=True, reports=reports)
     equipped = Equipped(ListSource([frame(0.5), frame(1.0)]), VehicleFiles(poses=poses))
     assert [seen.is_reported for seen in equipped] == [False, True]
+
+
+def test_files_go_to_other_processes_also_after_they_were_used(calibration: Path, can_log: Path) -> None:
+    data = open_vehicle_data(calibration, can_log)
+    now = frame(1.05)
+    known, road = data.motion(now), data.road(now)
+    assert data.camera(now) is not None
+    again = pickle.loads(pickle.dumps(data))
+    assert again.camera(now).focal_px == CAMERA.focal_px
+    assert again.camera(now) is again.camera(frame(1.1))
+    assert known is not None
+    assert road is not None
+    assert again.motion(now).speed_mps == known.speed_mps
+    assert len(again.road(now)) == len(road)

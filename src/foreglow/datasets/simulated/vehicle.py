@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 
 from foreglow.calibration import read_calibration
@@ -33,8 +32,8 @@ class SimulatedVehicle(VehicleData):
 
     def __init__(self, split: Path) -> None:
         self._root = split / "simulation"
-        self._camera = cache(self._read_camera)
-        self._frames = cache(self._read_frames)
+        self._cameras: dict[str, Camera | None] = {}  # by sequence; dictionaries, as sources are pickled
+        self._frames: dict[str, dict[int, _CarTruth]] = {}
 
     def camera(self, frame: Frame) -> Camera | None:
         """The drive's calibration.
@@ -42,7 +41,9 @@ class SimulatedVehicle(VehicleData):
         Raises:
             ValueError: If `camera.toml` is broken.
         """
-        return self._camera(frame.sequence)
+        if frame.sequence not in self._cameras:
+            self._cameras[frame.sequence] = self._read_camera(frame.sequence)
+        return self._cameras[frame.sequence]
 
     def motion(self, frame: Frame) -> EgoMotion | None:
         """Speed and yaw rate, as wheels and a gyroscope measure them; the pitch of the body is not known.
@@ -50,7 +51,7 @@ class SimulatedVehicle(VehicleData):
         Raises:
             ValueError: If `frames.jsonl` is broken.
         """
-        known = self._frames(frame.sequence).get(frame.frame)
+        known = self._known(frame)
         return None if known is None else EgoMotion(known.ego_speed_mps, known.ego_yaw_rate_radps)
 
     def road(self, frame: Frame) -> RoadAhead | None:
@@ -59,8 +60,13 @@ class SimulatedVehicle(VehicleData):
         Raises:
             ValueError: If `frames.jsonl` is broken.
         """
-        known = self._frames(frame.sequence).get(frame.frame)
+        known = self._known(frame)
         return None if known is None else road_from_message(known.street)
+
+    def _known(self, frame: Frame) -> _CarTruth | None:
+        if frame.sequence not in self._frames:
+            self._frames[frame.sequence] = self._read_frames(frame.sequence)
+        return self._frames[frame.sequence].get(frame.frame)
 
     def _read_camera(self, sequence: str) -> Camera | None:
         path = self._root / sequence / "camera.toml"

@@ -105,6 +105,12 @@ class CanLog:
         self.first_ns = self.last_ns = 0
         self.has_street, self.is_empty, self.tells_speed = False, True, False
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_lock": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=threading.Lock())
+
     def add_street(self, time_ns: int, message: StreetMessage | None) -> None:
         """Adds the road at the latest position, None for an unknown position; times must not fall."""
         self.has_street |= message is not None

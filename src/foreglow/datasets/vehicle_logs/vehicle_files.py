@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +63,7 @@ class VehicleFiles(VehicleData):
         self._pose_error_m = pose_error_m
         self._names = names
         self._is_live = is_live
-        self._scaled = cache(self._camera_of)  # the same camera for each frame: estimators keep results by camera
+        self._scaled: dict[tuple[int, int], Camera | None] = {}  # one for all frames: estimators keep results by camera
 
     @property
     def of_one_drive(self) -> Sequence[str]:
@@ -85,7 +84,10 @@ class VehicleFiles(VehicleData):
         Raises:
             ValueError: If the frame's sides have another ratio than the calibration's.
         """
-        return self._scaled(frame.width_px, frame.height_px)
+        size_px = frame.width_px, frame.height_px
+        if size_px not in self._scaled:
+            self._scaled[size_px] = self._camera_of(*size_px)
+        return self._scaled[size_px]
 
     def motion(self, frame: Frame) -> EgoMotion | None:
         """The latest motion in the log; None where there is none.
