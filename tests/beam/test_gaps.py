@@ -50,3 +50,8 @@ def test_gaps_that_touch_are_one_and_others_stay() -> None:
     first, second, third = Gap(0.0, 0.1, 50, 60), Gap(0.1, 0.2, 30, 40), Gap(0.3, 0.4, 9, 9)
     assert merged([third, second, first]) == [Gap(0.0, 0.2, 30, 60), third]
     assert merged([]) == []
+
+
+def test_a_gap_has_a_range_where_all_that_it_covers_do() -> None:
+    known, unknown = Gap(0.0, 0.1, 50, 60), Gap(0.1, 0.2, 40, 90, has_range=False)
+    assert merged([known, unknown]) == [Gap(0.0, 0.2, 40, 90, has_range=False)]
