@@ -45,8 +45,8 @@ class Story:
         light: Its first light; the strongest one where there are several.
         found: Its light in the first accepted box, that with the highest score; None if there is never one.
         sight: Its first lamp; None if it never comes into sight.
-        confirmed_s: When the first track that has held its light is plausible; NaN if none ever is, or nothing was
-            tracked.
+        confirmed_s: When the box of a plausible track, or of one of a confirmed vehicle, first holds its light; NaN if
+            none ever does, or nothing was tracked.
         production_s: When the production system first reports a vehicle; NaN if it never does.
         duration_s: From the first image of the sequence to the last.
         num_images_before: Images of the sequence before the first light.
