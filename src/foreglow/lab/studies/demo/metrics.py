@@ -184,7 +184,9 @@ def gap_at_sight(
     if camera is None:
         return None
     ray = camera.vehicle_from_camera.rotation @ camera.rays(np.array([sight.light.position_px]))[0]
-    right = left = math.atan2(ray[1], ray[0])
+    range_m, camera_m = sight.light.range_m, camera.vehicle_from_camera.position_m[:2]
+    place_m = ray[:2] if math.isnan(range_m) else camera_m + range_m * ray[:2]
+    right = left = math.atan2(place_m[1], place_m[0])  # from the vehicle's origin, as gaps count
     found: dict[float, tuple[float, float]] = {}
     image_ids = [image_id for image_id in dataset.sequence(sight_id).image_ids if image_id <= sight_id]
     for image_id in sorted(image_ids, reverse=True):
