@@ -76,3 +76,8 @@ def test_a_gap_of_no_interval_is_refused(gap: Gap) -> None:
         with pytest.raises(ValueError, match=r"^gaps: expected right_rad < left_rad and .*, got Gap\(right_rad="):
             writer.command(0, gaps, dips)
     assert writer.command(0, [Gap(-0.1, 0.1, 0.0, math.inf)]).levels.min() < 0.1
+
+
+def test_a_gap_has_a_range_where_all_that_it_covers_do() -> None:
+    known, unknown = Gap(0.0, 0.1, 50, 60), Gap(0.1, 0.2, 40, 90, has_range=False)
+    assert merged([known, unknown]) == [Gap(0.0, 0.2, 40, 90, has_range=False)]

@@ -29,6 +29,7 @@ from tests.beam.made_up import (
     FakeLamps,
     box_around,
     frame_at,
+    from_origin,
     full,
     guard_config,
     lamps_of,
@@ -169,7 +170,8 @@ def test_light_at_a_vehicle(range_m: float, sigma_m: float, limit_cd: float) -> 
     assert command.levels.max() == 1.0
     right, left = command.gaps_rad[0]
     assert right < 0.03 < left
-    np.testing.assert_array_equal(command.gap_ranges_m, [range_m])
+    _, from_origin_m = from_origin(0.03, range_m)  # as the policy's gaps count, and as documented
+    assert command.gap_ranges_m == pytest.approx([from_origin_m], abs=0.01, nan_ok=True)
 
 
 def test_eyes_are_above_the_lamps() -> None:
@@ -201,7 +203,7 @@ def test_gaps_of_the_policy_stay() -> None:
     np.testing.assert_array_equal(alone.gaps_rad, gaps)
     np.testing.assert_array_equal(alone.gap_ranges_m, ranges_m)
     both = running().check(wanted, tracks_of([box_around(0.04, -0.004, 0.002)], [70.0]), frame)
-    np.testing.assert_array_equal(both.gap_ranges_m, [80.0, 70.0])
+    assert both.gap_ranges_m == pytest.approx([80.0, from_origin(0.04, 70.0)[1]], abs=0.01)
     np.testing.assert_array_equal(both.gaps_rad[0], gaps[0])
     assert both.gaps_rad[1, 0] == 0.02
     assert both.gaps_rad[1, 1] > 0.041

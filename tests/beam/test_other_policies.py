@@ -86,3 +86,15 @@ def test_policies_have_names() -> None:
     assert isinstance(make_policy(CONFIG, LAMPS), POLICIES["foreglow"])
     with pytest.raises(ValueError, match=r"beam\.policy: expected one of low, high, paper, foreglow, .*got 'none'"):
         make_policy(BeamConfig(), LAMPS)
+
+
+@pytest.mark.parametrize("name", ["paper", "foreglow"])
+@pytest.mark.parametrize("seen", [LAMP, LIGHT], ids=["lamp", "light"])
+def test_a_gap_for_what_has_no_range_has_none(name: str, seen: Seen) -> None:
+    """It said 40 m, the nearest that such a light is taken to be, and so did the CAN message."""
+    for range_m in (100.0, math.nan):
+        command = make_policy(CONFIG.model_copy(update={"policy": name}), LAMPS).command(
+            frame(0, road=None), tracks_at(0, seen._replace(range_m=range_m))
+        )
+        assert np.isnan(command.gap_ranges_m).tolist() == [math.isnan(range_m)]
+        assert (command.levels < 1.0).any()  # dark as for the nearest

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -42,6 +43,8 @@ def test_what_did_not_run_is_unknown(tmp_path: Path) -> None:
     assert boxes["is_accepted"] == [None]
     assert boxes["x2_px"] == [5]
     assert columns_of(run.sequences, "tracks") == {"sequence": [], "frame": [], "time_s": []}
+    untimed = dataclasses.replace(run.sequences[""][0], stage_ms={})
+    assert math.isnan(columns_of({"": (untimed,)}, "frames")["time_ms"][0])
 
 
 def test_parquet_holds_the_same(folder: Path, tmp_path: Path) -> None:

@@ -43,5 +43,6 @@ class GapWriter:
             levels = np.minimum(levels, np.maximum(self._dimmer.levels(dips), 1.0 - DIP))
         mode = BeamMode.FULL if not apart and levels.min() >= 1.0 else BeamMode.GLARE_FREE
         borders = np.array([gap[:2] for gap in apart], np.float64).reshape(-1, 2)
-        ranges_m = np.array([gap.near_m if math.isfinite(gap.near_m) else math.nan for gap in apart], np.float64)
+        is_known = [gap.has_range and math.isfinite(gap.near_m) for gap in apart]
+        ranges_m = np.where(is_known, np.array([gap.near_m for gap in apart], np.float64), math.nan)
         return BeamCommand(timestamp_ns, mode, levels, borders, ranges_m)

@@ -116,16 +116,17 @@ class Guard:
         gaps_rad, gap_ranges_m = wanted.gaps_rad.copy(), wanted.gap_ranges_m.copy()  # what passed stays so
         is_protected = tracks.is_plausible if is_vehicle is None else tracks.is_plausible & is_vehicle
         if is_protected.any():
-            ranges_m = tracks.ranges_m[is_protected]
+            boxes, ranges_m = tracks.boxes_xyxy_px[is_protected], tracks.ranges_m[is_protected]
             spans_rad, nearest_m = self._sightlines.spans_rad(
-                frame.camera, tracks.boxes_xyxy_px[is_protected], ranges_m, tracks.sigmas_m[is_protected]
+                frame.camera, boxes, ranges_m, tracks.sigmas_m[is_protected]
             )
             limits_cd = self._limits_cd[np.searchsorted(self._limit_ranges_m, nearest_m, side="right") - 1]
             levels = dimmed(levels, self._bounds.towards(spans_rad), limits_cd)
             right_rad, left_rad = spans_rad[:, :, 0].min(axis=1), spans_rad[:, :, 1].max(axis=1)
             borders_rad = np.stack([right_rad, np.maximum(left_rad, np.nextafter(right_rad, np.inf))], axis=1)
+            from_origin_m = self._sightlines.from_origin_m(frame.camera, boxes, ranges_m)  # as gaps count
             gaps_rad, gap_ranges_m = united(
-                np.concatenate([gaps_rad, borders_rad]), np.concatenate([gap_ranges_m, ranges_m])
+                np.concatenate([gaps_rad, borders_rad]), np.concatenate([gap_ranges_m, from_origin_m])
             )
         self._levels = levels
         if not levels.any():  # light has not begun to return, or must shine nowhere

@@ -265,6 +265,7 @@ class ForeglowPolicy(BeamPolicy):
             bearing.azimuth_rad + edge_rad + max(lead_rad + left_rad, 0.0),
             near_m,
             far_m,
+            not math.isnan(bearing.range_m),
         )
 
     def _hidden_gaps(self, frame: Frame, acted: Mapping[int, Bearing]) -> list[tuple[int, int, Gap]]:
@@ -342,7 +343,8 @@ def _is_coming(bearing: Bearing) -> bool:
 
 
 def _around(bearing: Bearing, half_rad: float) -> Gap:
-    return Gap(bearing.azimuth_rad - half_rad, bearing.azimuth_rad + half_rad, *_bounds_m(bearing))
+    has_range = not math.isnan(bearing.range_m)
+    return Gap(bearing.azimuth_rad - half_rad, bearing.azimuth_rad + half_rad, *_bounds_m(bearing), has_range)
 
 
 def _bounds_m(bearing: Bearing) -> tuple[float, float]:

@@ -80,6 +80,25 @@ class Sightlines:
         np.maximum.reduce(np.arctan2(eyes, forward), axis=(1, 3), out=spans[..., 3])
         return spans + _beyond_rad(camera, boxes_xyxy_px)[:, np.newaxis], nearest_m
 
+    def from_origin_m(self, camera: Camera, boxes_xyxy_px: Floats, ranges_m: Floats) -> Floats:
+        """The ranges from the vehicle's origin, seen from above, of what the camera sees in the boxes' middles.
+
+        Args:
+            camera: The camera.
+            boxes_xyxy_px: Shape (M, 4).
+            ranges_m: Shape (M,), from the camera; NaN where unknown.
+
+        Returns:
+            Shape (M,); NaN where unknown.
+
+        Raises:
+            ValueError: If the camera's distortion cannot be undone.
+        """
+        middles = np.clip(0.5 * (boxes_xyxy_px[:, :2] + boxes_xyxy_px[:, 2:]), 0.0, (camera.width_px, camera.height_px))
+        rays = self._caster.cast(camera, middles)
+        places_m = rays.origin_m[:2] + ranges_m[:, np.newaxis] * rays.directions[:, :2]
+        return np.asarray(np.hypot(places_m[:, 0], places_m[:, 1]))
+
 
 def _beyond_rad(camera: Camera, boxes_xyxy_px: Floats) -> Floats:
     """By how much boxes that reach beyond the image extend their spans, shape (M, 4), as these."""

@@ -68,7 +68,7 @@ def _frame_rows(result: FrameResult) -> Iterator[Row]:
         "num_accepted": None if detections is None else int(detections.is_accepted.sum()),
         "num_tracks": None if tracks is None else int(tracks.is_plausible.sum()),
         "mode": None if result.beam is None else result.beam.mode.name.lower(),
-        "time_ms": sum(result.stage_ms.values()),
+        "time_ms": sum(result.stage_ms.values()) if result.stage_ms else np.nan,
     }
 
 

@@ -63,15 +63,15 @@ def test_rows(dataset: PVDN, tmp_path: Path) -> None:
     tracks = followed(0, 0, 0, last=TrackState.TENTATIVE)
     export_mot(dataset, BOXES, tracks, tmp_path / "out", "ours")
     assert (tmp_path / "out/gt/S00003/gt/gt.txt").read_text().splitlines() == [
-        "1,1,10.000,20.000,20.000,20.000,1,1,1",
-        "2,1,11.000,20.000,20.000,20.000,1,1,1",
-        "2,2,52.000,22.000,16.000,16.000,1,1,1",  # no proposal contains it
-        "3,1,12.000,20.000,20.000,20.000,1,1,1",
-        "3,2,50.000,20.000,20.000,20.000,1,1,1",
+        "1,1,11.000,21.000,20.000,20.000,1,1,1",
+        "2,1,12.000,21.000,20.000,20.000,1,1,1",
+        "2,2,53.000,23.000,16.000,16.000,1,1,1",  # no proposal contains it
+        "3,1,13.000,21.000,20.000,20.000,1,1,1",
+        "3,2,51.000,21.000,20.000,20.000,1,1,1",
     ]
     assert (tmp_path / "out/trackers/ours/data/S00003.txt").read_text().splitlines() == [
-        "1,1,10.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
-        "2,1,11.000,20.000,20.000,20.000,0.7500,-1,-1,-1",
+        "1,1,11.000,21.000,20.000,20.000,0.7500,-1,-1,-1",
+        "2,1,12.000,21.000,20.000,20.000,0.7500,-1,-1,-1",
     ]
     assert "seqLength=3" in (tmp_path / "out/gt/S00003/seqinfo.ini").read_text()
     assert (tmp_path / "out/gt/S00001/gt/gt.txt").read_text() == ""  # no light

@@ -51,6 +51,29 @@ def test_paced_clock_goes_as_fast() -> None:
     assert passed_ns == pytest.approx(50 * by_the_wall_ns, rel=0.2)
 
 
+def test_run_times_of_a_fast_replay_are_those_of_the_wall_clock() -> None:
+    """They were added up in two clocks: waiting seemed as many times longer as the replay is faster."""
+    configuration, keeper = live_config(), Keeper()
+
+    class Slow:
+        def __init__(self) -> None:
+            self._pipeline = Pipeline(configuration)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._pipeline, name)
+
+        def step(self, frame: Frame, **options: Any) -> Any:
+            time.sleep(0.05)  # so that the last frame waits
+            return self._pipeline.step(frame, **options)
+
+    begun_s = time.monotonic()
+    run_live(Paced(ListSource(night_frames(8)), speed=1000.0), configuration, Slow, sinks=[keeper])
+    passed_ms = 1e3 * (time.monotonic() - begun_s)
+    assert len(keeper.results) > 1
+    assert all(0 <= sum(result.stage_ms.values()) < passed_ms for _, result in keeper.results)
+    assert keeper.results[-1][1].stage_ms["queue"] > 0
+
+
 def test_paced_sequences_each_have_their_time() -> None:
     frames = [*night_frames(3), *night_frames(3, "S00002")]
     paced = Paced(ListSource(frames), speed=20.0)

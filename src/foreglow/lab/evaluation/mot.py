@@ -5,6 +5,9 @@
     DIR/checksums.json                by which files that were changed since are known
     DIR/trackers/NAME/data/S00001.txt the plausible tracks: frame, id, x, y, width, height, confidence, -1, -1, -1
 
+Frames, ids and places count from 1, as the format has them: the upper left pixel's edges are at 1, 1, not at 0, 0 as
+elsewhere here.
+
 Labels are points, and these measures want boxes. As in the paper's own annotations the box of a light is a proposal
 that contains its key point: here the smallest one. Lights in the same box are one object, with the number of the one
 that came first; a light that no proposal contains gets a square around it. Of lights with the same numbers in one image
@@ -34,6 +37,10 @@ from foreglow.own_folders import check_new
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Tracks
 from foreglow.whole_files import make_folder, together, write_atomic
+
+FIRST_PX = 1.0
+"""Of the first column and row. Source: motchallenge.net, instructions: "all frame numbers, target IDs and bounding
+boxes are 1-based"; readers such as py-motmetrics subtract it."""
 
 FALLBACK_SIDE_PX = 16.0
 """Side of the square around a light that no proposal contains, full-frame pixels."""
@@ -217,7 +224,7 @@ def _holds(boxes: _Boxes, points_px: NDArray[np.int32] | list[tuple[int, int]]) 
 
 def _extent(box: Iterable[float]) -> str:
     x1, y1, x2, y2 = box
-    return f"{x1:.3f},{y1:.3f},{x2 - x1:.3f},{y2 - y1:.3f}"
+    return f"{x1 + FIRST_PX:.3f},{y1 + FIRST_PX:.3f},{x2 - x1:.3f},{y2 - y1:.3f}"
 
 
 def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:

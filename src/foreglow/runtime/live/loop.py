@@ -374,9 +374,10 @@ class LiveLoop:
         age_ns = 0 if self._source.is_lossless else self._source.now_ns() - frame.timestamp_ns
         if result is None:
             return
+        clock_to_ms = 1e6 * self._source.speed  # of a replay's clock, which may run faster than time
         stage_ms = {
-            "capture": (stepped.arrival.arrived_ns - frame.timestamp_ns) / 1e6,
-            "queue": (stepped.begun_ns - stepped.arrival.arrived_ns) / 1e6,
+            "capture": (stepped.arrival.arrived_ns - frame.timestamp_ns) / clock_to_ms,
+            "queue": (stepped.begun_ns - stepped.arrival.arrived_ns) / clock_to_ms,
             **result.stage_ms,
             "send": (sent_ns - ready_ns) / 1e6,
         }

@@ -12,7 +12,8 @@ from foreglow.lab.evaluation import Predictions
 from foreglow.lab.studies.demo.metrics import Moment, gap_at_sight, tell_stories
 
 RIGHT, LEFT = np.radians([14.5, 16.5])
-"""Around the lamp in image 10054, 3.00 s, which comes into sight at 15.3 degrees."""
+"""Around the lamp in image 10054, 3.00 s, which comes into sight at 15.3 degrees, 124 m from the camera: seen from the
+rear axle, 2.1 m behind it, at 15.1 degrees."""
 
 SIGHT_ID = 10054
 
@@ -52,6 +53,13 @@ def test_no_gap_or_one_elsewhere(dataset: PVDN, sight: Moment) -> None:
     assert math.isnan(opened_s(dataset, sight, {}))
     assert math.isnan(opened_s(dataset, sight, {SIGHT_ID: [(LEFT, LEFT + 0.1)]}))
     assert math.isnan(opened_s(dataset, sight, {SIGHT_ID - 1: [(RIGHT, LEFT)]}))
+
+
+def test_the_lamp_is_where_it_is_from_the_rear_axle(dataset: PVDN, sight: Moment) -> None:
+    """Gaps are azimuths there; from the camera, a vehicle aside looks further aside."""
+    for right_deg, left_deg, is_there in ((15.0, 15.2, True), (15.2, 15.5, False)):
+        found_s = opened_s(dataset, sight, {SIGHT_ID: [(math.radians(right_deg), math.radians(left_deg))]})
+        assert math.isnan(found_s) != is_there
 
 
 def test_a_story_with_a_beam_knows_its_gap(dataset: PVDN) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,7 @@ def test_a_line_for_each_light(results: DistanceResults, report: Path) -> None:
         assert int(row["image_id"]) == light.image_id
         assert (int(row["x1_px"]), int(row["y2_px"])) == (light.box_xyxy_px[0], light.box_xyxy_px[3])
         assert float(row["gp, centre: range_m"]) == pytest.approx(range_m, abs=1e-3)
+        assert (row["lidar_m"] == "") == math.isnan(light.lidar_m)
 
 
 def test_the_same_results_give_the_same_files(results: DistanceResults, report: Path, tmp_path: Path) -> None:

@@ -45,8 +45,8 @@ class Story:
         light: Its first light; the strongest one where there are several.
         found: Its light in the first accepted box, that with the highest score; None if there is never one.
         sight: Its first lamp; None if it never comes into sight.
-        confirmed_s: When the first track that has held its light is plausible; NaN if none ever is, or nothing was
-            tracked.
+        confirmed_s: When the box of a plausible track, or of one of a confirmed vehicle, first holds its light; NaN if
+            none ever does, or nothing was tracked.
         production_s: When the production system first reports a vehicle; NaN if it never does.
         duration_s: From the first image of the sequence to the last.
         num_images_before: Images of the sequence before the first light.
@@ -184,7 +184,9 @@ def gap_at_sight(
     if camera is None:
         return None
     ray = camera.vehicle_from_camera.rotation @ camera.rays(np.array([sight.light.position_px]))[0]
-    right = left = math.atan2(ray[1], ray[0])
+    range_m, camera_m = sight.light.range_m, camera.vehicle_from_camera.position_m[:2]
+    place_m = ray[:2] if math.isnan(range_m) else camera_m + range_m * ray[:2]
+    right = left = math.atan2(place_m[1], place_m[0])  # from the vehicle's origin, as gaps count
     found: dict[float, tuple[float, float]] = {}
     image_ids = [image_id for image_id in dataset.sequence(sight_id).image_ids if image_id <= sight_id]
     for image_id in sorted(image_ids, reverse=True):

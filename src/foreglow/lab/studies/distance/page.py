@@ -281,7 +281,7 @@ def lights_csv(results: DistanceResults) -> str:
     columns = [values[method] for method in results.methods for values in (results.ranges_m, results.sigmas_m)]
     rows = [
         [
-            *(getattr(light, name) for name in fields),
+            *("" if value != value else value for value in (getattr(light, name) for name in fields)),  # of NaN
             *light.box_xyxy_px,
             *(f"{value:.3f}" if math.isfinite(value) else "" for value in values),
         ]
