@@ -21,7 +21,7 @@ import pytest
 
 from foreglow.config import read_config
 from foreglow.datasets import open_labelled, split_folder
-from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
+from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, search, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
 from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
@@ -363,6 +363,14 @@ def test_other_data_or_objective_is_another_study(data: Path, tmp_path: Path) ->
         for objective in ("q", "light")
     }
     assert len(names) == 4
+
+
+def test_another_version_does_not_continue_a_study(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may propose other boxes: losses of both would be compared."""
+    found = searched(data, tmp_path, 3, num_images=4)
+    monkeypatch.setattr(search, "version", lambda _: "9.9.9")
+    again = searched(data, tmp_path, 2, num_images=4)
+    assert (again.study_name[:-5], len(again.trials)) == (found.study_name[:-5], 2)
 
 
 def test_without_val_the_best_on_train_is_chosen(tmp_path: Path) -> None:
