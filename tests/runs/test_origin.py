@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 
 from foreglow.datasets import PVDN, Equipped, open_source, shipped_drive
@@ -16,7 +17,7 @@ from foreglow.runtime import run
 from foreglow.runtime.live import Paced
 from tests.cli.commands import PNG
 from tests.datasets.tiny_pvdn import make_pvdn
-from tests.stand_ins import REFERENCE
+from tests.stand_ins import REFERENCE, night_image
 
 
 def images_at(path: Path) -> Path:
@@ -51,6 +52,18 @@ def test_a_copy_is_the_same_and_others_are_not(make: Callable[[Path], Path], tmp
     assert origin_digest(elsewhere) == digest
     changed.write_bytes(changed.read_bytes() + b"x")
     assert origin_digest(elsewhere) != digest
+
+
+@pytest.mark.parametrize("num_images", [1, 3, 20])
+def test_images_that_are_all_of_one_size_are_told_by_what_they_hold(num_images: int, tmp_path: Path) -> None:
+    """As of another drive, whose images were written over those that a run was made from."""
+    for number in range(num_images):
+        assert cv2.imwrite(str(tmp_path / f"{number:06d}.pgm"), night_image(number))
+    digest, sizes = origin_digest(tmp_path), {path.stat().st_size for path in tmp_path.iterdir()}
+    for number in range(num_images):
+        assert cv2.imwrite(str(tmp_path / f"{number:06d}.pgm"), night_image(100 + number))
+    assert {path.stat().st_size for path in tmp_path.iterdir()} == sizes
+    assert origin_digest(tmp_path) not in (digest, None)
 
 
 def test_corrected_labels_are_no_other_images(tmp_path: Path) -> None:

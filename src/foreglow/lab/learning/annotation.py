@@ -30,7 +30,7 @@ from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
 from foreglow.lab.evaluation.boxes.matching import lies_in
-from foreglow.lab.learning.kept_files import checksum_of, file_checksum, state_of
+from foreglow.lab.learning.kept_files import checksum_of, file_checksum, image_contents, image_state, state_of
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.whole_files import write_atomic
@@ -131,6 +131,7 @@ class _SequenceRecord(FrozenModel):
         checksum: Of all its files, as `_checksum`; those of an early version have none, and are not checked.
         sources: The state of the images and key points that they were made of, as `_sources`; boxes of an early version
             do not say it, and are made again.
+        contents: What both hold, which a copy of them holds, too; boxes of an early version do not say it.
     """
 
     directory: str
@@ -140,6 +141,7 @@ class _SequenceRecord(FrozenModel):
     num_ignored: int
     checksum: int | None = None
     sources: str | None = None
+    contents: str | None = None
 
 
 class _Record(FrozenModel):
@@ -231,6 +233,30 @@ def check_boxes(root: Path | str) -> None:
     _own_boxes(dataset, _record_in(dataset.root / "labels" / RECORD_NAME))
 
 
+def check_current(root: Path | str) -> None:
+    """Checks that boxes in the split `root` that `annotate_split` wrote are all of one call, and of its labels as now.
+
+    Boxes of something else, or that somebody has changed, are taken as they are.
+
+    Raises:
+        FileNotFoundError: If the split is missing.
+        ValueError: If the call was interrupted, images or key points have changed since, or the record is broken.
+    """
+    dataset = PVDN(root)
+    path = dataset.root / "labels" / RECORD_NAME
+    record = _record_in(path)
+    if record is not None and not record.is_complete:
+        raise ValueError(f"{path}: expected boxes of a finished `annotate`, got a part of them: run it again")
+    recorded = {} if record is None else {sequence.directory: sequence for sequence in record.sequences}
+    for directory, image_ids in ((each.directory, each.image_ids) for each in dataset.sequences):
+        known, are_there = recorded.get(directory), all(_box_file(dataset, each).exists() for each in image_ids)
+        if known is not None and are_there and known.checksum == _checksum(dataset, image_ids):
+            state = image_state if known.contents is None else image_contents
+            if (known.contents or known.sources) != _sources(dataset, image_ids, state):
+                words = "expected boxes of its images and key points as they are, these were made before a change"
+                raise ValueError(f"{path}: sequence {directory}: {words}: run `annotate` again")
+
+
 def _own_boxes(dataset: PVDN, record: _Record | None) -> dict[str, int]:
     """The checksums of the boxes that are there, by their paths in `labels`; raises as `check_boxes`."""
     labels = dataset.root / "labels"
@@ -315,18 +341,16 @@ def _annotate_sequence(
         **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
         checksum=checksum_of([zlib.crc32(data) for data in files.values()]),
         sources=sources,
+        contents=_sources(dataset, image_ids, image_contents),
     )
     return record, files
 
 
-def _sources(dataset: PVDN, image_ids: Iterable[int]) -> str:
+def _sources(dataset: PVDN, image_ids: Iterable[int], state: Callable[[Path], bytes] = image_state) -> str:
     """The state of these images and of their key points."""
     keypoints = dataset.root / "labels" / "keypoints"
-    return state_of(
-        path
-        for image_id in sorted(image_ids)
-        for path in (dataset.image_path(image_id), keypoints / f"{image_id:06d}.json")
-    )
+    paths = ((dataset.image_path(each), keypoints / f"{each:06d}.json") for each in sorted(image_ids))
+    return state_of(itertools.chain(*paths), state)
 
 
 def _checksum(dataset: PVDN, image_ids: Iterable[int]) -> int:

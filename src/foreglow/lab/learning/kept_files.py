@@ -8,7 +8,7 @@ import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +60,8 @@ def image_contents(path: Path) -> bytes:
     return digest.digest()
 
 
-def state_of(paths: Iterable[Path]) -> str:
-    """What tells these files, in this order, from any others in their places: their `image_state` and which are there.
+def state_of(paths: Iterable[Path], state: Callable[[Path], bytes] = image_state) -> str:
+    """What tells these files, in this order, from any others in their places: their `state` and which are there.
 
     A time of change alone does not: what was restored from a backup is older than what was made of its successor.
 
@@ -71,7 +71,7 @@ def state_of(paths: Iterable[Path]) -> str:
     """
     digest = hashlib.blake2b(digest_size=16)
     for path in paths:
-        digest.update(image_state(path) if path.exists() else b"-")
+        digest.update(state(path) if path.exists() else b"-")
     return digest.hexdigest()
 
 

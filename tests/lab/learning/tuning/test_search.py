@@ -13,6 +13,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -137,8 +138,7 @@ def _leave_a_dead_trial(data: Path, out: Path) -> None:
     """A trial whose process was killed in the middle of it."""
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    study = open_study(plan_of(data, out))
-    trial = study.ask()
+    trial = open_study(plan_of(data, out)).ask()
     trial.set_user_attr("process", [socket.gethostname(), dead.pid])
     trial.suggest_int("gap_px", 1, 9)
     trial.report(0.0, 0)
@@ -146,7 +146,7 @@ def _leave_a_dead_trial(data: Path, out: Path) -> None:
 
 def plan_of(data: Path, out: Path, num_trials: int = 24) -> StudyPlan:
     material = read_material(open_labelled(split_folder(data, "train")), 600, out / "frames")
-    name = f"q-paper-{NUM_ALL}-{material.digest}"
+    name = f"q-paper-{NUM_ALL}-{material.digest}-{version('foreglow')}"
     return StudyPlan(str(out / "study.journal"), name, TuningSettings(num_trials=num_trials, space="paper", seed=SEED))
 
 

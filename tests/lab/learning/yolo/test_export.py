@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import itertools
+import json
 import os
 import shutil
 from pathlib import Path
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 
 from foreglow.config import preset
 from foreglow.datasets import PVDN
-from foreglow.lab.learning.annotation import label_boxes
+from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, label_boxes, splits_to_annotate
 from foreglow.lab.learning.yolo import export as export_module
 from foreglow.lab.learning.yolo.export import export_yolo, is_export, label_lines, positive_boxes, read_export, squashed
 from foreglow.own_folders import UNFINISHED_EXPORT
@@ -51,6 +52,47 @@ def test_boxes_as_annotated(annotated: Path, tmp_path: Path) -> None:
     assert image is not None
     assert image.shape == (48, 48)
     assert (tmp_path / "out/data.yaml").read_text() == "val: images/val\nnc: 1\nnames:\n  0: light_artifact\n"
+
+
+def test_boxes_of_an_annotation_that_was_interrupted_are_not_exported(tmp_path: Path) -> None:
+    """Those of two calls, perhaps with other parameters, would be one data set."""
+    make_night_data(tmp_path / "data", ("train",))
+    (split,) = splits_to_annotate(tmp_path / "data")
+    annotate_split(split, preset("paper"))
+    record = split / "labels" / RECORD_NAME
+    write_atomic(record, record.read_bytes().replace(b"is_complete = true", b"is_complete = false"))
+    with pytest.raises(ValueError, match=r"expected boxes of a finished `annotate`, got a part of them: run it again"):
+        export_yolo(tmp_path / "data", tmp_path / "out", size_px=48)
+    assert export_yolo(tmp_path / "data", tmp_path / "out", preset_name="paper", size_px=48).num_boxes["train"]
+
+
+def test_boxes_of_key_points_that_were_corrected_since_are_not_exported(tmp_path: Path) -> None:
+    make_night_data(tmp_path / "data", ("train",))
+    (split,) = splits_to_annotate(tmp_path / "data")
+    annotate_split(split, preset("paper"))
+    shutil.copytree(tmp_path / "data", tmp_path / "copy", copy_function=shutil.copyfile)
+    assert export_yolo(tmp_path / "copy", tmp_path / "copied", size_px=48).num_boxes["train"]
+    keypoints = min((split / "labels/keypoints").glob("*.json"))
+    content = json.loads(keypoints.read_bytes())
+    keypoints.write_text(json.dumps(content | {"annotations": []}))
+    with pytest.raises(ValueError, match=r"these were made before a change: run `annotate` again"):
+        export_yolo(tmp_path / "data", tmp_path / "out", size_px=48)
+    image_id = int(keypoints.stem)
+    boxes = split / f"labels/bounding_boxes/{image_id:06d}.json"
+    boxes.write_text(boxes.read_text().replace("1.0", "0.0"))  # somebody corrects both
+    export_yolo(tmp_path / "data", tmp_path / "out", size_px=48)
+    assert (tmp_path / f"out/labels/train/{image_id:06d}.txt").read_text() == ""
+
+
+def test_boxes_that_another_version_proposed_are_exported_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_night_data(tmp_path / "data", ("train",))
+    monkeypatch.setattr(export_module, "version", lambda _: "0.0.1")
+    monkeypatch.setattr(export_module, "positive_boxes", lambda *_: np.zeros((0, 4)))
+    assert export_yolo(tmp_path / "data", tmp_path / "out", preset_name="paper", size_px=48).num_boxes["train"] == 0
+    monkeypatch.undo()
+    assert export_yolo(tmp_path / "data", tmp_path / "out", preset_name="paper", size_px=48).num_boxes["train"]
 
 
 def test_boxes_of_a_preset_take_precedence(annotated: Path, tmp_path: Path) -> None:

@@ -76,8 +76,9 @@ def _is_attributes(value: Any) -> bool:
     if not isinstance(value, dict):
         return False
     process, measured = value.get("process", ["", 1]), value.get("measurement", {})
+    is_process = isinstance(process, list) and [type(part) for part in process[:2]] == [str, int] and process[1] > 0
     return (
-        (isinstance(process, list) and [type(part) for part in process] == [str, int] and process[1] > 0)
+        (is_process and len(process) <= 3 and all(map(_is_number, process[2:])))  # an early version wrote two
         and _is_table(measured, lambda figure: figure is None or type(figure) in (int, float))
         and _is_table(value.get("fixed_params", {}), lambda chosen: isinstance(chosen, bool) or _is_number(chosen))
         and all(isinstance(drawn, str) for name, drawn in value.items() if name.startswith("tpe:"))

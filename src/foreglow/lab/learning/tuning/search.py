@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import time
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,7 @@ class Tuning:
     Attributes:
         settings: What was searched, and how.
         data: The data set.
-        study_name: Name of the study in its storage; it identifies the data and the objective.
+        study_name: Name of the study in its storage; it identifies the data, the objective and our version.
         paper: The paper's parameters, rated like the finalists.
         finalists: The best on train and the paper's parameters; the best on val is first, and chosen.
         trials: All finished trials, in order.
@@ -143,7 +144,8 @@ def tune(
     material = read_material(
         splits["train"], settings.num_images, out / "frames", jobs=workers.num_workers, progress=progress
     )
-    name = f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{material.digest}"
+    of_version = f"{material.digest}-{version('foreglow')}"  # another one may propose other boxes
+    name = f"{settings.objective}-{settings.space_name}-{len(material.image_ids)}-{of_version}"
     plan = StudyPlan(storage, name, settings)
     started_s = time.monotonic()
     study = open_study(plan)

@@ -9,6 +9,7 @@ import os
 import re
 import socket
 import sqlite3
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -345,10 +346,11 @@ def num_finished(study: optuna.Study) -> int:
 
 def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper: tuple[Measurement, ...]) -> None:
     """Measures one trial part by part; stops early if the parts so far are worse than those of other trials."""
+    from optuna.exceptions import UpdateFinishedTrialError
     from optuna.trial import TrialState
 
     try:
-        trial.set_user_attr("process", [socket.gethostname(), os.getpid()])
+        trial.set_user_attr("process", [socket.gethostname(), os.getpid(), time.time()])
         if num_taken(study, before=trial.number) >= plan.settings.num_trials:  # another process has taken the last one
             study.tell(trial, state=TrialState.FAIL)
             return
@@ -362,9 +364,11 @@ def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper
             if is_last or trial.should_prune():
                 trial.set_user_attr("measurement", found.to_json())
             if not is_last and trial.should_prune():
-                study.tell(trial, state=TrialState.PRUNED)
+                study.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
                 return
-        study.tell(trial, loss)
+        study.tell(trial, loss, skip_if_finished=True)
+    except UpdateFinishedTrialError:  # another machine took this process for dead, as it stood still for long
+        return
     except BaseException:
         study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
         raise
@@ -372,7 +376,7 @@ def _run(study: optuna.Study, trial: Trial, plan: StudyPlan, bench: Bench, paper
 
 def _is_alive(trial: FrozenTrial) -> bool:
     """Whether the process of a running trial may still exist."""
-    host, pid = trial.user_attrs.get("process", (None, 0))
+    host, pid, *began = trial.user_attrs.get("process", (None, 0))
     if host == socket.gethostname():
         try:
             os.kill(pid, 0)
@@ -381,6 +385,8 @@ def _is_alive(trial: FrozenTrial) -> bool:
         except PermissionError:
             return True
         return bool(pid != os.getpid())
+    if began:  # Optuna's own time is that of the other machine's zone
+        return bool(time.time() - began[0] < STALE_S)
     started = trial.datetime_start
     return started is not None and (datetime.datetime.now() - started).total_seconds() < STALE_S
 

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -21,7 +22,7 @@ from foreglow.datasets.images import IMAGE_SUFFIXES, png
 from foreglow.datasets.json_files import read_json
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
-from foreglow.lab.learning.annotation import POSITIVE, existing_splits, label_boxes
+from foreglow.lab.learning.annotation import POSITIVE, check_current, existing_splits, label_boxes
 from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.kept_files import file_checksum, state_of
 from foreglow.own_files import has_title, named_png
@@ -127,6 +128,9 @@ def export_yolo(
         splits=tuple(wanted),
     )
     proposer = proposer_of(settings.boxes)
+    if proposer is None:
+        for found in wanted.values():
+            check_current(found)
     with FolderLock(folder):
         _claim(folder, settings)
         try:
@@ -172,7 +176,7 @@ def _exported(
             (work / kind / name).mkdir(parents=True, exist_ok=True)
         for image_id in dataset.frame_ids:
             pair = f"images/{name}/{image_id:06d}.png", f"labels/{name}/{image_id:06d}.txt"
-            state = _state(dataset, image_id)
+            state = _state(dataset, image_id, proposer)
             home = next((each for each in (work, folder) if _is_current(each, pair, state)), None)
             if home is None:
                 home = work
@@ -215,10 +219,11 @@ def _move(path: Path, target: Path) -> None:
         path.replace(target)
 
 
-def _state(dataset: LabelledSource, image_id: int) -> str:
-    """What an image and its labels are exported from, as the title of the exported image."""
+def _state(dataset: LabelledSource, image_id: int, proposer: Proposer | None) -> str:
+    """What an image and its labels are exported from, and what proposes boxes, as the title of the exported image."""
     labels = (dataset.root / "labels" / kind / f"{image_id:06d}.json" for kind in ("keypoints", "bounding_boxes"))
-    return f"Foreglow: of {state_of((dataset.image_path(image_id), *labels))}"
+    by = "" if proposer is None else f" by {version('foreglow')}"
+    return f"Foreglow: of {state_of((dataset.image_path(image_id), *labels))}{by}"
 
 
 def _is_current(home: Path, pair: tuple[str, str], state: str) -> bool:

@@ -31,7 +31,7 @@ from foreglow.lab.evaluation import (
 from foreglow.lab.evaluation.bootstrap import f1, paired_bootstrap, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.boxes.split_run import run_split
-from foreglow.lab.learning.annotation import POSITIVE, label_boxes
+from foreglow.lab.learning.annotation import POSITIVE, check_current, label_boxes
 from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.kept_files import file_checksum
 from foreglow.lab.studies.detector.rows import (
@@ -259,8 +259,10 @@ def _yolo_ceiling(run: YoloRun, dataset: LabelledSource, labels: SplitLabels) ->
     from foreglow.lab.learning.yolo import positive_boxes, proposer_of
 
     proposer = proposer_of(run.settings.boxes)
-    if proposer is None and any(dataset.boxes(image_id) is None for image_id in dataset.frame_ids):
-        return {}
+    if proposer is None:
+        if any(dataset.boxes(image_id) is None for image_id in dataset.frame_ids):
+            return {}
+        check_current(dataset.root)
     boxes = {frame.frame: positive_boxes(dataset, frame, proposer) for frame in dataset}
     quality: dict[str, Any] = to_json(evaluate_boxes(labels.keypoints_px, _unscored(boxes)))
     return quality
