@@ -24,6 +24,10 @@ def test_what_is_not_defined_is_a_dash(tmp_path: Path) -> None:
     assert re.search(r"^\| without vehicles \| 0 \| 0 \| 0 \| – \| – \| – \|$", text, re.MULTILINE)
     assert re.search(r"^\| all \| 1 \| 1 \| 0 \| 1.000 \| 1.000 \| 1080 \|$", text, re.MULTILINE)
     assert not re.search(r"\bnan\b", text)
+    assert "The light of 0 is there in the first image of their sequence" in text  # but in one 0.5 s later
+    begun = examine(split_labels({0: [light(0, 10, 10)]}, empty=[]), boxes, 0.5, "x")
+    text = write_report(begun, tmp_path / "begun", {}).read_text()
+    assert "The light of 1 is there in the first image of their sequence: since when, nobody knows." in text
 
 
 def test_thresholds_near_one_can_be_set_as_they_are_told(tmp_path: Path) -> None:

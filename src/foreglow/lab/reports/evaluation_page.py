@@ -405,13 +405,15 @@ IMAGE_GROUP_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {
 def _add_vehicles(page: Page, vehicles: Sequence[FirstFound], rate_hz: float) -> None:
     delays_s = [vehicle.delay_s for vehicle in vehicles if not math.isnan(vehicle.delay_s)]
     ahead = [vehicle for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s]
+    num_begun = sum(vehicle.light_s == 0 for vehicle in vehicles)
     leads_s = [vehicle.lead_s for vehicle in ahead if not math.isnan(vehicle.lead_s)]
     page.section(
         "From first light to first box",
         f"{rate_hz:.3g} images a second. {len(vehicles)} oncoming vehicles, {len(delays_s)} of them found: "
         f"{_spread(delays_s)} s after their first light. The light of {len(ahead)} comes before their first lamp; "
         f"{_number(share_found_ahead(vehicles))} of these are found before the lamp is there; those that are found at "
-        f"all, {_spread(leads_s)} s before it.",
+        f"all, {_spread(leads_s)} s before it. The light of {num_begun} is there in the first "
+        "image of their sequence: since when, nobody knows.",
     )
     columns: dict[str, Callable[[FirstFound], object]] = {
         "sequence": lambda vehicle: vehicle.sequence_id,

@@ -64,7 +64,8 @@ def write_report(results: SimulatorResults, folder: Path) -> Path:
     _add_leads(page, results)
     page.section("Labels")
     _add_labels(page, results)
-    page.section("Pixels", f"Means over {results.pixels.num_images} images with a lamp in sight.")
+    which = "with a lamp in sight" if results.has_lamps else "without a lamp in sight, around their brightest spots"
+    page.section("Pixels", f"Means over {results.pixels.num_images} images {which}.")
     page.figure(Figure(pixels_figure(results), "Grey levels, and those around a lamp", "pixels.png"))
     if results.pixel_rows is None:
         page.text("Without a real image to compare with (`--real-image`).")
