@@ -11,7 +11,7 @@ import numpy as np
 
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, png, subplots
-from foreglow.lab.reports.page import DASH, Figure, Page, Table
+from foreglow.lab.reports.page import DASH, Figure, Page, Table, percent
 from foreglow.lab.studies.reproduction.claims import paper_words
 from foreglow.lab.studies.simulator.metrics import LAMP_RADII_PX, PERCENTILES, RuleEffect
 from foreglow.lab.studies.simulator.run import SimulatorResults
@@ -127,8 +127,8 @@ def _in_words(what: str, values_s: Sequence[float]) -> str:
     if not values_s:
         return f"{what}: no drive has both."
     low, median, high = np.percentile(values_s, (25, 50, 75))
-    share = np.mean(np.array(values_s) > 0)
-    return f"{what} {median:.2f} s (quartiles {low:.2f} to {high:.2f} s; {len(values_s)} drives, {share:.0%} above 0)."
+    ahead = percent(float(np.mean(np.array(values_s) > 0)))
+    return f"{what} {median:.2f} s (quartiles {low:.2f} to {high:.2f} s; {len(values_s)} drives, {ahead} above 0)."
 
 
 def _spread(values: Spread) -> str:
