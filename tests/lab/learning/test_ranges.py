@@ -46,6 +46,13 @@ def test_fitting_moves_what_is_fitted_and_nothing_else(data: Path, monkeypatch: 
     assert "lights of" in model.origin
 
 
+@pytest.mark.parametrize("truths_m", [[[50.0]], [[50.0], [50.0, 50.0]], [[50.0] * 400, [90.0, 20.0]]])
+def test_lights_at_one_range_count_the_same(truths_m: list[list[float]], data: Path) -> None:
+    view = next(ranged_views(data / "val", CONFIG)).view
+    balance = ranges._balance([ranges.RangedView(view, np.array(truth_m)) for truth_m in truths_m])
+    assert np.concatenate(balance) == pytest.approx(1.0)
+
+
 def test_a_model_survives_its_file(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     model = read_hypotheses()

@@ -7,7 +7,15 @@ import pytest
 from scipy.special import expit
 
 from foreglow.lab.evaluation.boxes.score_calibration import expected_calibration_error, log_loss
-from foreglow.lab.learning.scores import EACH_AS_ONE, BoxScores, Calibration, Calibrator, fit_calibrator, light_logits
+from foreglow.lab.learning.scores import (
+    EACH_AS_ONE,
+    BoxScores,
+    Calibration,
+    Calibrator,
+    doubts_of,
+    fit_calibrator,
+    light_logits,
+)
 
 
 def drawn(num_samples: int = 20_000) -> tuple[Any, Any]:
@@ -71,6 +79,22 @@ def test_labels_of_one_kind_calibrate_nothing(num_outputs: int, method: Calibrat
 def test_a_perfect_network_gets_a_finite_temperature() -> None:
     found = fit_calibrator(np.array([[-3.0], [3.0]]), np.array([0, 1], np.int8))
     assert 0.0099 < found.temperature < 0.5
+
+
+@pytest.mark.parametrize("method", ["temperature", "platt"])
+def test_few_boxes_leave_doubts(method: Calibration) -> None:
+    """The calibration error was told as 0.000, or F as 0.000, and no word why."""
+
+    def doubts(logits: Any, labels: Any) -> list[str]:
+        found = fit_calibrator(logits[:, np.newaxis], labels, method)
+        return doubts_of(found, light_logits(found.applied(logits[:, np.newaxis])), labels)
+
+    logits, labels = drawn(500)
+    assert doubts(logits, labels) == []
+    assert doubts_of(Calibrator(), logits, labels) == []
+    told_apart, backwards = doubts(np.array([-0.5, -0.3, 0.4]), labels[:3] * 0 + [0, 0, 1]), doubts(-logits, labels)
+    assert [line.split(",")[0] for line in told_apart] == ["the validation boxes are told apart without an error"]
+    assert [line.split(":")[0] for line in backwards] == ["the temperature is at its limit"]
 
 
 def test_scores_by_hand() -> None:

@@ -7,9 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.lab.reports.page import Figure, Missing, Page, Table
+from foreglow.lab.reports.page import Figure, Missing, Page, Table, percent
 
 PNG = b"\x89PNG and more"
+
+
+def test_nearly_all_is_not_all() -> None:
+    """199 of 200 were told as 100%, and 1 of 200 as 0%."""
+    shares = (0.0, 1 / 200, 3 / 500, 198 / 200, 199 / 200, 1.0, 1.0 - 1e-9)
+    assert [*map(percent, shares)] == ["0%", "<1%", "1%", "99%", ">99%", "100%", "100%"]
 
 
 def test_a_table() -> None:

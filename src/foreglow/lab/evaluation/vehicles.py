@@ -121,6 +121,11 @@ class Encounter:
         return not self.light_s >= self.sight_s
 
     @property
+    def is_begun(self) -> bool:
+        """Whether its light is there in the sequence's first image, so that nobody knows when it came."""
+        return self.light_s == 0
+
+    @property
     def human_s(self) -> float:
         """When a human would report it, on average."""
         return self.light_s + HUMAN_DELAY_S

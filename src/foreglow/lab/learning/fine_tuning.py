@@ -133,20 +133,25 @@ def box_figures(
 ) -> BoxFigures:
     """Figures of N boxes by their scores, each of which stands for as many boxes as `weights` says, or for one.
 
+    Boxes of equal scores are accepted together, whatever their order: if all are equal, the average precision is the
+    share of the boxes with light.
+
     >>> box_figures(np.array([0.9, 0.8, 0.3]), np.array([True, False, True]), 0.5)
     BoxFigures(precision=0.5, recall=0.5, f1=0.5, average_precision=0.8333333333333333)
     """
     counts = np.ones(len(scores)) if weights is None else weights.astype(np.float64)
     is_accepted = scores > threshold
     hits, accepted, lights = (float(counts[each].sum()) for each in (is_accepted & is_light, is_accepted, is_light))
-    order = np.argsort(-scores, kind="stable")
-    sorted_lights = counts[order] * is_light[order]
-    precisions = np.cumsum(sorted_lights) / np.cumsum(counts[order])
+    distinct, score_of = np.unique(-scores, return_inverse=True)
+    lights_of_score, boxes_of_score = (
+        np.bincount(score_of, each, len(distinct)) for each in (counts * is_light, counts)
+    )
+    precisions = np.cumsum(lights_of_score) / np.cumsum(boxes_of_score)
     return BoxFigures(
         precision=hits / accepted if accepted else float("nan"),
         recall=hits / lights if lights else float("nan"),
         f1=2 * hits / (accepted + lights) if accepted + lights else float("nan"),
-        average_precision=float((precisions * sorted_lights).sum() / lights) if lights else float("nan"),
+        average_precision=float((precisions * lights_of_score).sum() / lights) if lights else float("nan"),
     )
 
 

@@ -40,6 +40,7 @@ from foreglow.distance.road_surface import RoadSurface, View
 from foreglow.distance.weighing import weighed_ranges
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import smallest_box
+from foreglow.lab.evaluation.ratios import ratios
 from foreglow.lab.learning.apart import check_apart
 from foreglow.proposals import make_proposer
 from foreglow.types import Detections
@@ -191,7 +192,8 @@ def _balance(views: list[RangedView]) -> list[Floats]:
     """Weight b of each light: all ranges count the same, as far as `MAX_BALANCE` allows."""
     logs = np.log(np.concatenate([ranged.truth_m for ranged in views]))
     edges = np.quantile(logs, (0.01, 0.99))
-    bins = np.clip(((logs - edges[0]) / (edges[1] - edges[0]) * NUM_RANGE_BINS).astype(int), 0, NUM_RANGE_BINS - 1)
+    places = ratios(logs - edges[0], edges[1] - edges[0])  # NaN where nearly all ranges are the same: all in one bin
+    bins = np.clip((np.nan_to_num(places) * NUM_RANGE_BINS).astype(int), 0, NUM_RANGE_BINS - 1)
     counts = np.bincount(bins, minlength=NUM_RANGE_BINS)
     weights = np.minimum(counts.max() / counts[bins], MAX_BALANCE)
     ends = np.cumsum([len(ranged.truth_m) for ranged in views])[:-1]
@@ -267,11 +269,11 @@ def _model_of(start: Hypotheses, numbers: Parameters) -> Hypotheses:
 def _sigma_scale(model: Hypotheses, views: list[RangedView]) -> float:
     """Factor on the sigmas: the geometric mean of those with which one and two sigmas hold `COVERAGES`."""
     parameters = parameters_of(model)
-    ratios = []
+    errors = []
     for ranged in views:
         view = ranged.view
         cells = cells_along(parameters, view.road, view.camera_m, view.pitch_sigma_rad)
         near_m, range_m, far_m = weighed_ranges(parameters, cells, view.boxes)
-        ratios.append(np.abs(range_m - ranged.truth_m) / (0.5 * (far_m - near_m)))
-    one_sigma, two_sigmas = np.quantile(np.concatenate(ratios), COVERAGES)
+        errors.append(np.abs(range_m - ranged.truth_m) / (0.5 * (far_m - near_m)))
+    one_sigma, two_sigmas = np.quantile(np.concatenate(errors), COVERAGES)
     return round(math.sqrt(one_sigma * two_sigmas / 2.0), 3)

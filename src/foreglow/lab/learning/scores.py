@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import logit
 
-from foreglow.lab.evaluation.boxes.score_calibration import fit_temperature, log_loss
+from foreglow.lab.evaluation.boxes.score_calibration import TEMPERATURE_LIMITS, fit_temperature, log_loss
 from foreglow.wording import check_one_of
 
 
@@ -154,3 +154,26 @@ def fit_calibrator(logits: NDArray[Any], labels: NDArray[np.int8], method: Calib
     bounds = [(-limit, limit), (-50.0, 50.0)]
     found = minimize(loss, np.zeros(2), method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12})
     return Calibrator(float(np.exp(found.x[0])), float(found.x[1]) if method == "platt" else 0.0)
+
+
+def doubts_of(calibrator: Calibrator, logits: NDArray[Any], labels: NDArray[np.int8]) -> list[str]:
+    """What is to be said of a calibrator that the boxes which it was fitted to say little of, one line each.
+
+    Args:
+        calibrator: The calibrator.
+        logits: Shape (N,): the calibrated logits of being light.
+        labels: Shape (N,), 1 and 0.
+    """
+    if calibrator == Calibrator():
+        return []
+    if calibrator.temperature > 0.99 * TEMPERATURE_LIMITS[1]:
+        return [
+            "the temperature is at its limit: by the validation boxes the scores tell nothing, and all are nearly the "
+            "same now; train longer, or label more"
+        ]
+    if logits[labels == 1].min() > logits[labels != 1].max():
+        return [
+            "the validation boxes are told apart without an error, so that they do not say how sure the scores may be: "
+            "most are nearly 0 or 1 now; label more in val"
+        ]
+    return []

@@ -25,7 +25,7 @@ from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.recipes import Recipe, recipe_to_toml
 from foreglow.lab.learning.sample_cache import cached_samples, samples_digest
 from foreglow.lab.learning.samples import Jitter, SampleConfig, Samples, check_learnable, joined, joined_digest
-from foreglow.lab.learning.scores import Calibrator, Counting, fit_calibrator, light_logits
+from foreglow.lab.learning.scores import Calibrator, Counting, doubts_of, fit_calibrator, light_logits
 from foreglow.lab.learning.training_progress import RunProgress, WithEventFiles
 from foreglow.provenance import provenance
 from foreglow.whole_files import write_atomic
@@ -256,6 +256,7 @@ def _figures(logits: Any, labels: Any, calibrator: Calibrator, counting: Countin
         "threshold": counting.threshold,
         "temperature": calibrator.temperature,
         "shift": calibrator.shift,
+        "doubts": doubts_of(calibrator, after, labels),
         "log_loss": {"before": log_loss(before, labels), "after": log_loss(after, labels)},
         "calibration_error": dict(zip(("before", "after"), errors, strict=True)),
     }

@@ -30,6 +30,20 @@ FEWEST_FALSE_BOXES = 0.01
 _number = functools.partial(number, digits=3)
 
 
+def _threshold(score: float) -> str:
+    """A threshold to be set: rounded up, so that the box with this score still does not count, and with the digits by
+    which it differs from 0 and 1.
+
+    >>> _threshold(0.7551), _threshold(0.99998123), _threshold(0.0), _threshold(math.nan)
+    ('0.756', '0.999982', '0.000', '–')
+    """
+    edge = min(score, 1.0 - score)
+    if not edge > 0:
+        return _number(score)
+    digits = max(3, 1 - math.floor(math.log10(edge)))
+    return number(math.ceil(score * 10**digits - 1e-6) / 10**digits, digits)
+
+
 def curve_plot(ranking: Ranking, threshold: float) -> bytes:
     """Precision, recall and F over the threshold, and precision over recall."""
     figure, axes = subplots(2)
@@ -193,7 +207,7 @@ def examination_lines(examination: Examination) -> list[str]:
     if examination.ranking is not None:
         ranking = examination.ranking
         lines.append(
-            f"best F {_number(ranking.best_f1)} at threshold {_number(ranking.best_threshold)}; "
+            f"best F {_number(ranking.best_f1)} at threshold {_threshold(ranking.best_threshold)}; "
             f"average precision {_number(ranking.average_precision)}"
         )
         lines += [_hidden_line(point) for point in ranking.operating_points if point.limit == 0.2]
@@ -217,7 +231,7 @@ def _false_boxes_line(everywhere: FalseBoxes, empty: FalseBoxes) -> str:
 
 def _hidden_line(point: OperatingPoint) -> str:
     return (
-        f"at {point.limit:g} false boxes a frame without vehicles (threshold {_number(point.threshold)}): "
+        f"at {point.limit:g} false boxes a frame without vehicles (threshold {_threshold(point.threshold)}): "
         f"{_number(point.recall_hidden)} of the hidden vehicles' lights"
     )
 
@@ -298,7 +312,7 @@ def _add_ranking(page: Page, ranking: Ranking, breakdown: Breakdown) -> None:
     page.section("Over all thresholds")
     page.figure(Figure(curve_plot(ranking, breakdown.threshold), "The metrics by threshold", "curve.png"))
     page.text(
-        f"Best F {_number(ranking.best_f1)} at threshold {_number(ranking.best_threshold)}; average precision "
+        f"Best F {_number(ranking.best_f1)} at threshold {_threshold(ranking.best_threshold)}; average precision "
         f"{_number(ranking.average_precision)}."
     )
     page.section("Hidden vehicles against false boxes")
@@ -360,7 +374,7 @@ def _false_boxes_table(everywhere: FalseBoxes, empty: FalseBoxes) -> Table:
 
 POINT_COLUMNS: Mapping[str, Callable[[OperatingPoint], str]] = {
     "false boxes a frame without vehicles, at most": lambda point: f"{point.limit:g}",
-    "threshold": lambda point: _number(point.threshold),
+    "threshold": lambda point: _threshold(point.threshold),
     "recall hidden": lambda point: _number(point.recall_hidden),
     "P": lambda point: _number(point.precision),
     "R": lambda point: _number(point.recall),
@@ -391,13 +405,15 @@ IMAGE_GROUP_COLUMNS: Mapping[str, Callable[[ImageGroup], object]] = {
 def _add_vehicles(page: Page, vehicles: Sequence[FirstFound], rate_hz: float) -> None:
     delays_s = [vehicle.delay_s for vehicle in vehicles if not math.isnan(vehicle.delay_s)]
     ahead = [vehicle for vehicle in vehicles if vehicle.light_s < vehicle.lamp_s]
+    num_begun = sum(vehicle.light_s == 0 for vehicle in vehicles)
     leads_s = [vehicle.lead_s for vehicle in ahead if not math.isnan(vehicle.lead_s)]
     page.section(
         "From first light to first box",
         f"{rate_hz:.3g} images a second. {len(vehicles)} oncoming vehicles, {len(delays_s)} of them found: "
         f"{_spread(delays_s)} s after their first light. The light of {len(ahead)} comes before their first lamp; "
         f"{_number(share_found_ahead(vehicles))} of these are found before the lamp is there; those that are found at "
-        f"all, {_spread(leads_s)} s before it.",
+        f"all, {_spread(leads_s)} s before it. The light of {num_begun} is there in the first "
+        "image of their sequence: since when, nobody knows.",
     )
     columns: dict[str, Callable[[FirstFound], object]] = {
         "sequence": lambda vehicle: vehicle.sequence_id,

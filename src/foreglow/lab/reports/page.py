@@ -22,6 +22,9 @@ from foreglow.whole_files import make_folder, together, write_atomic
 
 DASH = "–"
 
+ROUNDING = 1e-6
+"""Shares of sums of light that are no further from 0 or 1 are these."""
+
 
 def number(value: float | None, digits: int = 2, missing: str = DASH) -> str:
     """`value` with `digits` decimals.
@@ -42,12 +45,16 @@ def signed(value: float, digits: int = 2) -> str:
 
 
 def percent(value: float) -> str:
-    """A share as whole per cent.
+    """A share as whole per cent; one that is nearly all or nearly none is told as neither.
 
-    >>> percent(0.256)
-    '26%'
+    >>> percent(0.256), percent(0.998), percent(0.002), percent(1.0)
+    ('26%', '>99%', '<1%', '100%')
     """
-    return DASH if math.isnan(value) else f"{value:.0%}"
+    if math.isnan(value):
+        return DASH
+    if 0.995 <= value < 1.0 - ROUNDING:
+        return ">99%"
+    return "<1%" if ROUNDING < value <= 0.005 else f"{value:.0%}"
 
 
 STYLE = """

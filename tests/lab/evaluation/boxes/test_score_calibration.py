@@ -57,6 +57,11 @@ def test_temperature_is_found_again() -> None:
     assert expected_calibration_error(before, labels) > 5 * expected_calibration_error(after, labels)
 
 
+def test_scores_that_say_nothing_have_no_temperature_to_be_corrected_by() -> None:
+    assert fit_temperature([0.0] * 6, [1, 1, 0, 0, 0, 0]) == 1.0
+    assert calibration([0.5] * 6, [1, 1, 0, 0, 0, 0]).temperature == 1.0
+
+
 def test_the_temperature_is_a_minimum() -> None:
     rng = np.random.default_rng(6)
     logits, labels = rng.normal(size=200), rng.random(200) < 0.4

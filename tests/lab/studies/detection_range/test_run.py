@@ -111,7 +111,7 @@ def test_the_report_has_a_table_and_a_figure_for_each_requirement(tmp_path: Path
     assert json.loads((tmp_path / "results.json").read_text())["groups"]["oncoming"]["all"][0]["share_at"] == 1.0
     assert summary_lines(views) == [
         "oncoming at 400 m (UN R48): 100% of 1 views detected, in 1 drives",
-        "ahead at 100 m (UN R48): – of 0 views detected, in 1 drives",
+        "ahead at 100 m (UN R48): – of 0 views detected, in 0 drives",
     ]
 
 

@@ -88,7 +88,14 @@ def test_the_same_results_give_the_same_files(results: GlareResults, folder: Pat
 def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> None:
     runs = {name: DRIVES[3].runs[name] for name in ("low", "high")}
     drive = dataclasses.replace(DRIVES[3], runs=runs)
-    page = write_report(score_glare("empty", [drive]), [drive], tmp_path).read_text()
+    found = score_glare("empty", [drive])
+    page = write_report(found, [drive], tmp_path).read_text()
+    assert "<tr><td>high</td><td>–</td><td>–</td><td>–</td>" in page  # the dose of nobody was 0.00
+    assert "0.00 (–)" not in page
+    foreglow = dataclasses.replace(found.policy("high"), name="foreglow")
+    assert summary_lines(dataclasses.replace(found, policies=(foreglow,)))[0] == (
+        "foreglow: glare dose of 0 oncoming drivers – of production's; – lx s beside that of the low beam alone"
+    )
     assert "Preceding drivers" not in page
     assert page.count("data:image/png") == 2
 

@@ -73,6 +73,14 @@ def test_live(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (found.parts_ms[COMPLETE] > 0).all()
 
 
+def test_too_few_images_for_the_live_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runtime, "live", lambda *_: times([], []))  # all of them were run before the first that counts
+    results = run_experiment(shipped_drive(), live_config(), ["live"], 10, no_progress)
+    assert not results.networks
+    (line,) = summary_lines(results)
+    assert line == "live: expected more than 20 images, which are run before the first that counts, got 90"
+
+
 def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(runtime, "in_process", lambda *_: times([1.0, 2.0], [3, 30]))

@@ -154,6 +154,8 @@ def test_the_report(results: TimeBenefitResults, tmp_path: Path) -> None:
     assert len(stored["curves"]["evidence"]) == len(RULES["evidence"])
     assert stored["made_with"]["version"]
     assert "1 vehicle at 18 Hz, 1 of them occluded" in summary_lines(results)[0]
+    assert "it is there in the first image" not in text
+    assert stored["num_begun"] == 0
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -171,9 +173,11 @@ def test_a_set_that_is_not_simulated(tmp_path: Path) -> None:
     assert false is not None
     assert not results.notes
     assert math.isnan(false.per_km)
+    assert results.num_begun == 1
+    assert summary_lines(results)[0].startswith("in 1 of 1 sequences with a vehicle's light, it is there in the first")
     record = to_json(results)
     assert record["methods"][3]["false"]["per_km"] is None
-    write_report(results, tmp_path / "report")
+    assert summary_lines(results)[0] in write_report(results, tmp_path / "report").read_text()
 
 
 @pytest.mark.usefixtures("undrawn", "few_rules")

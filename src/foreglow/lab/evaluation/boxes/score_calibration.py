@@ -117,7 +117,7 @@ def expected_calibration_error(scores: ArrayLike, labels: ArrayLike) -> float:
 def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
     """The temperature T, from 0.02 to 50, for which sigmoid(logits / T) gives `labels` the highest likelihood.
 
-    The likelihood is log-concave in 1 / T, so there is one best T.
+    The likelihood is log-concave in 1 / T, so there is one best T; 1 where all logits are 0, and every T as good.
 
     Raises:
         ValueError: If there are not both classes, or logits and labels do not fit.
@@ -130,6 +130,8 @@ def fit_temperature(logits: ArrayLike, labels: ArrayLike) -> float:
     from scipy.optimize import minimize_scalar
 
     given, truth = _checked(logits, labels)
+    if not given.any():
+        return 1.0
     low, high = (math.log(1.0 / limit) for limit in reversed(TEMPERATURE_LIMITS))
     best = minimize_scalar(
         lambda log_slope: log_loss(given * math.exp(log_slope), truth),

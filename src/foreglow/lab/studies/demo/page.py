@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from rich.table import Table
 
 from foreglow.lab.evaluation.vehicles import UNKNOWN_VEHICLE, share_found_ahead
-from foreglow.lab.reports.page import number
+from foreglow.lab.reports.page import number, percent
 from foreglow.lab.studies.demo.metrics import Moment, Story
 from foreglow.lab.studies.reproduction.claims import paper_words
 
@@ -128,8 +128,8 @@ def _table_notes(stories: Sequence[Story], is_classified: bool) -> list[str]:
     hidden = [story for story in stories if story.is_hidden_first and story.sight is not None]
     ahead_s = [story.times.lead_s for story in hidden if story.times.lead_s > 0]
     if hidden:
-        share = share_found_ahead([story.times for story in hidden])
-        line = f"{len(ahead_s)} of {len(hidden)} hidden vehicles ({share:.0%}) {found_word(is_classified)} before"
+        share = percent(share_found_ahead([story.times for story in hidden]))
+        line = f"{len(ahead_s)} of {len(hidden)} hidden vehicles ({share}) {found_word(is_classified)} before"
         line += " they were in sight"
         notes.append(f"{line}, by {statistics.median(ahead_s):.2f} s in the median" if ahead_s else line)
     return notes

@@ -71,6 +71,7 @@ class Group:
         counts: By bin, the number of views.
         share_at: Share that is detected of those at the required range.
         num_at: Their number.
+        num_drives_at: Drives that these are from.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Group:
     counts: tuple[int, ...]
     share_at: float
     num_at: int
+    num_drives_at: int
 
 
 def group(name: str, views: Sequence[View], requirement: Requirement) -> Group:
@@ -99,6 +101,7 @@ def group(name: str, views: Sequence[View], requirement: Requirement) -> Group:
         counts=tuple(map(len, bins)),
         share_at=share([view.is_detected for view in at]),
         num_at=len(at),
+        num_drives_at=len({view.seed for view in at}),
     )
 
 

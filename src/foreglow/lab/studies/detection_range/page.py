@@ -52,7 +52,7 @@ def summary_lines(views: Sequence[View]) -> list[str]:
         (whole,) = groups(views, requirement)["all"]
         lines.append(
             f"{requirement.name} at {requirement.range_m:g} m (UN R48): {percent(whole.share_at)} of {whole.num_at} "
-            f"views detected, in {whole.num_drives} drives"
+            f"views detected, in {whole.num_drives_at} drives"
         )
     return lines
 

@@ -126,7 +126,8 @@ def summary_lines(results: GlareResults) -> list[str]:
     moments = oncoming.first_occluded
     return [
         f"{name}: glare dose of {oncoming.num_eyes} oncoming drivers {interval(oncoming.dose_vs_production, percent)} "
-        f"of production's; {signed(oncoming.all_bins.over_low_lxs)} lx s beside that of the low beam alone",
+        f"of production's; {signed(oncoming.known_lxs(oncoming.all_bins.over_low_lxs))} lx s beside that of the low "
+        "beam alone",
         f"first glare moment in {moments.num} occluded approaches: median {number(moments.median)} s, "
         f"mean {number(moments.mean)} s, {percent(moments.dark_share)} dark from the beginning",
         f"light kept on the own lane while a vehicle is present: {interval(present.own_lane, percent)} of full beam "
@@ -245,7 +246,8 @@ def _tables(results: GlareResults, others: Sequence[GlareResults]) -> Iterator[t
     policies = results.policies
     yield (
         "Policies",
-        "Dose: light above the limit at oncoming drivers' eyes, over time. In brackets: 95 % interval over drives. "
+        "Dose: light above the limit at oncoming drivers' eyes, over time. In brackets: 95 % interval over drives, "
+        "which has no width, and says nothing, where all are alike. "
         "First glare moment of drivers whose light was there before: median, mean, and share that has none. Light "
         "kept: share of the full high beam's while a vehicle is present, and after. Wrong: dimming for nobody.",
         _table(_MAIN, policies),
@@ -298,9 +300,9 @@ def _table(columns: Columns, policies: Sequence[PolicyScore]) -> Table:
 
 
 _GLARE: Columns = {
-    "dose, lx s": lambda policy: number(policy.oncoming.all_bins.glare.dose_lxs),
+    "dose, lx s": lambda policy: number(policy.oncoming.known_lxs(policy.oncoming.all_bins.glare.dose_lxs)),
     "of production's": lambda policy: interval(policy.oncoming.dose_vs_production, percent),
-    "over low beam's": lambda policy: signed(policy.oncoming.all_bins.over_low_lxs),
+    "over low beam's": lambda policy: signed(policy.oncoming.known_lxs(policy.oncoming.all_bins.over_low_lxs)),
     "first glare, s": lambda policy: number(policy.oncoming.first_occluded.median),
     "mean, s": lambda policy: number(policy.oncoming.first_occluded.mean),
     "none": lambda policy: percent(policy.oncoming.first_occluded.dark_share),
@@ -369,14 +371,15 @@ def _glare_columns(of: Callable[[PolicyScore], GroupGlare], bins: Sequence[BinGl
 
     def dose(index: int) -> Callable[[PolicyScore], str]:
         return lambda policy: (
-            f"{number(of(policy).bins[index].glare.dose_lxs)} ({percent(of(policy).bins[index].above_share)})"
+            f"{number(of(policy).known_lxs(of(policy).bins[index].glare.dose_lxs))} "
+            f"({percent(of(policy).bins[index].above_share)})"
         )
 
     return {
         **{f"{part.name} ({part.glare.in_sight_s:.0f} s)": dose(index) for index, part in enumerate(bins)},
         "of production's": lambda policy: interval(of(policy).dose_vs_production, percent),
         "of low beam's": lambda policy: interval(of(policy).dose_vs_low, number),
-        "added, lx s": lambda policy: number(of(policy).all_bins.glare.added_lxs),
+        "added, lx s": lambda policy: number(of(policy).known_lxs(of(policy).all_bins.glare.added_lxs)),
     }
 
 

@@ -224,6 +224,10 @@ class GroupGlare:
         """Over all ranges."""
         return self.bins[-1]
 
+    def known_lxs(self, dose_lxs: float) -> float:
+        """A dose of this group; NaN where there is nobody, whose dose of 0 says nothing."""
+        return dose_lxs if self.num_eyes else math.nan
+
 
 @dataclass(frozen=True, slots=True)
 class RoadKept:

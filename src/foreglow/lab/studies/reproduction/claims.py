@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias
 
 from foreglow.files import read_plain_json, read_toml
 from foreglow.lab.evaluation.ratios import mean
+from foreglow.lab.reports.page import percent
 
 Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
 
@@ -194,6 +195,8 @@ def filled(text: str, results: Any) -> str:
     ('1 of 2.0', '')
     >>> filled("{f - paper.f:+.1p}", {"f": 0.9, "paper": {"f": 0.82}})
     '+8.0 points'
+    >>> filled("{share:.0%}", {"share": 0.998})
+    '>99%'
     """
     if any(_computed(expression, results) is None for expression, _ in _FIELD.findall(text)):
         return ""
@@ -205,6 +208,8 @@ def _shown(value: Any, form: str) -> str:
         return "; ".join(value)
     if isinstance(value, list):
         return " x ".join(map(str, value))
+    if form == ".0%":
+        return percent(value)
     if form.endswith("p"):
         return f"{format(100 * value, form[:-1] + 'f')} points"
     if form.endswith("m"):

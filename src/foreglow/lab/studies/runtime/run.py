@@ -158,7 +158,14 @@ def run_experiment(
             if paper is not None:
                 networks.append(in_process(dataset, paper.commanding(), progress, PAPER_IN_PROCESS))
         elif kind == "live":
-            networks.append(live(dataset, config, num_paced))
+            times = live(dataset, config, num_paced)
+            if times.num_frames:
+                networks.append(times)
+            else:
+                missing[LIVE] = (
+                    f"expected more than {NUM_WARM_UP} images, which are run before the first that counts, got "
+                    f"{len(dataset)}"
+                )
         else:
             try:
                 networks.append(in_fresh_process(over_ros2, split, config, num_paced, kind == "node"))

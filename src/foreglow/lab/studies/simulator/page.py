@@ -11,7 +11,7 @@ import numpy as np
 
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, png, subplots
-from foreglow.lab.reports.page import DASH, Figure, Page, Table
+from foreglow.lab.reports.page import DASH, Figure, Page, Table, percent
 from foreglow.lab.studies.reproduction.claims import paper_words
 from foreglow.lab.studies.simulator.metrics import LAMP_RADII_PX, PERCENTILES, RuleEffect
 from foreglow.lab.studies.simulator.run import SimulatorResults
@@ -64,7 +64,8 @@ def write_report(results: SimulatorResults, folder: Path) -> Path:
     _add_leads(page, results)
     page.section("Labels")
     _add_labels(page, results)
-    page.section("Pixels", f"Means over {results.pixels.num_images} images with a lamp in sight.")
+    which = "with a lamp in sight" if results.has_lamps else "without a lamp in sight, around their brightest spots"
+    page.section("Pixels", f"Means over {results.pixels.num_images} images {which}.")
     page.figure(Figure(pixels_figure(results), "Grey levels, and those around a lamp", "pixels.png"))
     if results.pixel_rows is None:
         page.text("Without a real image to compare with (`--real-image`).")
@@ -126,8 +127,8 @@ def _in_words(what: str, values_s: Sequence[float]) -> str:
     if not values_s:
         return f"{what}: no drive has both."
     low, median, high = np.percentile(values_s, (25, 50, 75))
-    share = np.mean(np.array(values_s) > 0)
-    return f"{what} {median:.2f} s (quartiles {low:.2f} to {high:.2f} s; {len(values_s)} drives, {share:.0%} above 0)."
+    ahead = percent(float(np.mean(np.array(values_s) > 0)))
+    return f"{what} {median:.2f} s (quartiles {low:.2f} to {high:.2f} s; {len(values_s)} drives, {ahead} above 0)."
 
 
 def _spread(values: Spread) -> str:

@@ -46,6 +46,7 @@ class SimulatorResults:
     Attributes:
         name: The split that was examined.
         label_rows: These statistics beside those of real labels; None without real labels.
+        has_lamps: Whether the images whose pixels are measured show a lamp; they do unless no image does.
         pixel_rows: These statistics beside those of a real image; None without a real image.
         effects: How first times move with the rule of what is perceivable.
         leads_s: First lamp minus first indirect light, for each drive that has both; negative if the lamp comes first.
@@ -57,6 +58,7 @@ class SimulatorResults:
     labels: LabelStatistics
     label_rows: tuple[Comparison, ...] | None
     pixels: ImageStatistics
+    has_lamps: bool
     pixel_rows: tuple[PixelComparison, ...] | None
     effects: tuple[RuleEffect, ...]
     leads_s: tuple[float, ...]
@@ -73,12 +75,13 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
 
     Raises:
         FileNotFoundError: If a file is missing.
-        ValueError: If one is broken, or no image has a lamp in sight.
+        ValueError: If one is broken.
     """
     dataset = open_labelled(split)
     truth = read_truth(dataset.root)
     own_labels = label_statistics(labels_of_split(dataset), dataset.mean_rate_hz)
-    own_pixels = image_statistics(_images_with_lamp(dataset, truth))
+    with_lamp = _ids_with_lamp(truth)
+    own_pixels = image_statistics(_some_images(dataset, with_lamp or dataset.frame_ids))
     drives = [peaks_of_drive(drive) for drive in truth]
     rule = scene_of(next(iter(truth))).labels
     scale = next(iter(truth)).camera.width_px / REFERENCE_WIDTH_PX
@@ -96,6 +99,7 @@ def examine(split: Path, real_labels: Path | None = None, real_image: Path | Non
         labels=own_labels,
         label_rows=label_rows,
         pixels=own_pixels,
+        has_lamps=bool(with_lamp),
         pixel_rows=pixel_rows,
         effects=rule_effects(drives, rule, FACTORS, scale),
         leads_s=tuple(time.lead_s for time in times if np.isfinite(time.lead_s)),
@@ -132,13 +136,16 @@ def real_statistics(path: Path) -> LabelStatistics:
     return label_statistics(read_label_digest(path))
 
 
-def _images_with_lamp(dataset: LabelledSource, truth: Iterable[SequenceTruth]) -> Sequence[NDArray[np.uint8]]:
-    """Some images that show a lamp, as the one real image does; any where none does."""
-    shown = [
+def _ids_with_lamp(truth: Iterable[SequenceTruth]) -> list[int]:
+    """The images that show a lamp, as the one real image does."""
+    return [
         frame.image_id
         for drive in truth
         for frame in drive.frames
         if any(artifact.is_direct for vehicle in frame.vehicles for artifact in vehicle.artifacts)
-    ] or list(dataset.frame_ids)
+    ]
+
+
+def _some_images(dataset: LabelledSource, shown: Sequence[int]) -> Sequence[NDArray[np.uint8]]:
     chosen = np.unique(np.linspace(0, len(shown) - 1, min(NUM_IMAGES, len(shown))).round().astype(int))
     return [np.asarray(dataset.read(shown[index]).image, np.uint8) for index in chosen]

@@ -177,7 +177,7 @@ def write_report(results: TimeBenefitResults, folder: Path) -> Path:
         f"light is annotated, in {len(occluded)} before its lamps. In {len(unreported)} the production system reports "
         "nothing: they are left out of what is compared with it."
     )
-    page.items(results.notes)
+    page.items([*results.notes, *_begun(results)])
     if min(results.rates_hz) < LEAST_RATE_HZ:
         page.text(f"Below {LEAST_RATE_HZ:g} Hz five frames take longer than a human: these times say little.")
     table = Table.of(METHOD_COLUMNS, results.methods)
@@ -222,6 +222,16 @@ def _rates(results: TimeBenefitResults) -> str:
     return " and ".join(f"{rate_hz:.3g} Hz" for rate_hz in dict.fromkeys(results.rates_hz))
 
 
+def _begun(results: TimeBenefitResults) -> list[str]:
+    """A line if there is light in the first image of sequences: from when on is not known."""
+    if not results.num_begun:
+        return []
+    return [
+        f"in {results.num_begun} of {len(results.encounters)} sequences with a vehicle's light, it is there in the "
+        "first image: times after the light are too short there, and those before a human too long"
+    ]
+
+
 def summary_lines(results: TimeBenefitResults) -> list[str]:
     """What the command says: our tracker in three lines."""
     ours = results.method("tracker, ours")
@@ -230,6 +240,7 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
     num_occluded = sum(encounter.is_occluded for encounter in results.encounters)
     return [
         *results.notes,
+        *_begun(results),
         f"{num} vehicle{'' if num == 1 else 's'} at {_rates(results)}, {num_occluded} of them occluded at first; our "
         f"tracker confirms {percent(ours.benefit.provident_share)} of these before their first lamp",
         f"these {signed(before.mean)} s before the production system (mean of {before.num}), all "

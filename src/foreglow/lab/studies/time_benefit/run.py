@@ -110,13 +110,28 @@ class TimeBenefitResults:
     categories: Mapping[str, tuple[float, ...]]
     notes: tuple[str, ...] = ()
 
+    @property
+    def num_begun(self) -> int:
+        """Encounters whose light is there in the first image, so that times after it are too short."""
+        return sum(encounter.is_begun for encounter in self.encounters)
+
     def method(self, name: str) -> Method:
         """The row called `name`."""
         return next(method for method in self.methods if method.benefit.name == name)
 
     def to_json(self) -> dict[str, Any]:
         """All figures by name, without the configuration."""
-        names = ("name", "rates_hz", "num_sequences", "encounters", "methods", "curves", "categories", "notes")
+        names = (
+            "name",
+            "rates_hz",
+            "num_sequences",
+            "encounters",
+            "num_begun",
+            "methods",
+            "curves",
+            "categories",
+            "notes",
+        )
         return {name: getattr(self, name) for name in names}
 
 
