@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 NODE_SPACING_PX = 16.0
 """Distance between the nodes at which a camera's distortion is inverted exactly. Between them, the error of a cubic
 spline is below 1e-8 for lenses like PVDN's."""
+
+FURTHEST_RAD = math.radians(89.0)
+"""No ray that goes beyond the image turns further from the camera's axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +58,24 @@ class RayCaster:
         self._key: tuple[object, ...] | None = None
         self._tangents: tuple[RectBivariateSpline, RectBivariateSpline] | None = None
 
-    def cast(self, camera: Camera, pixels: Floats, pitch_rad: float = 0.0, pitch_sigma_rad: float = 0.0) -> Rays:
+    def cast(
+        self,
+        camera: Camera,
+        pixels: Floats,
+        pitch_rad: float = 0.0,
+        pitch_sigma_rad: float = 0.0,
+        *,
+        beyond_rad: Floats | None = None,
+    ) -> Rays:
         """The rays through `pixels`, shape (M, 2), when the body's nose is up by `pitch_rad` about the rear axle.
+
+        Args:
+            camera: The camera.
+            pixels: The pixels, within the image where it has distortion.
+            pitch_rad: Pitch of the body.
+            pitch_sigma_rad: Its standard deviation.
+            beyond_rad: Shape (M, 2), how much further right and down the rays go, for what lies beyond the image; up to
+                `FURTHEST_RAD` from the camera's axis either way.
 
         Raises:
             ValueError: If the distortion has no inverse somewhere in the image.
@@ -67,7 +87,10 @@ class RayCaster:
             origin, turned = body @ origin, body @ turned
         rays = np.empty((len(pixels), 3))
         rays[:, 0] = 1.0
-        np.negative(self._tangents_of(camera, pixels), out=rays[:, 1:])
+        tangents = self._tangents_of(camera, pixels)
+        if beyond_rad is not None:
+            tangents = np.tan(np.clip(np.arctan(tangents) + beyond_rad, -FURTHEST_RAD, FURTHEST_RAD))
+        np.negative(tangents, out=rays[:, 1:])
         directions = rays @ turned.T
         directions /= np.sqrt(np.einsum("ij,ij->i", rays, rays))[:, None]
         return Rays(origin, directions, pitch_sigma_rad)

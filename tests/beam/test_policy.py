@@ -171,6 +171,8 @@ def test_each_hidden_vehicle_has_a_gap_of_its_own_and_keeps_it_for_a_while() -> 
     assert made.gaps(frame(1), of_vehicles(tracks_at(1, far), 7, confidence=0.9)) == of_far + of_near
     assert made.gaps(frame(20), of_vehicles(tracks_at(20, far), 7, confidence=0.9)) == of_far
     assert policy().gaps(frame(0), of_vehicles(tracks_at(0, near, far), 3, 3, confidence=0.9)) == of_far
+    beyond = LIGHT._replace(range_m=390.0, number=7)  # the end of the road: track 7, and the near one is vehicle 7
+    assert len(policy().gaps(frame(0), of_vehicles(tracks_at(0, near, beyond), 7, 3, confidence=0.9))) == 2
 
 
 SURE = LAMP._replace(direct=0.99)

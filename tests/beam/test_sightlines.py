@@ -57,6 +57,51 @@ def test_what_lies_beyond_the_image_is_inside_too(box: list[float], roll_rad: fl
         assert elevations.max() < span[3] + 2e-3
 
 
+@pytest.mark.parametrize(
+    ("box", "range_m"),
+    [([1035, 121, 1040, 131], 12.0), ([-400, 121, 100, 131], 8.0), ([300, 400, 320, 900], 12.0), ([-90, -60, 9, 9], 6)],
+)
+@pytest.mark.parametrize("yaw_pitch_roll_rad", [(0.0, 0.0, 0.0), (0.05, -0.03, 0.1)])
+def test_near_the_lamps_what_lies_beyond_the_image_is_further_aside(
+    box: list[float], range_m: float, yaw_pitch_roll_rad: tuple[float, float, float]
+) -> None:
+    """A narrow camera behind the windscreen: a lamp of ours is much nearer to what it sees than the camera is."""
+    pose = Pose(np.array([0.6, 0.34, 0.87]), rotation(*yaw_pitch_roll_rad))
+    camera = Camera(640, 480, (3000.0, 3000.0), (320.0, 240.0), (0.0,) * 5, pose)
+    (spans,), _ = Sightlines(LAMPS_M, guard_config()).spans_rad(
+        camera, np.array([box], float), np.array([range_m]), np.array([1e-6])
+    )
+    pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (300, 2))
+    points_m = pose.position_m + camera.rays(pixels) @ pose.rotation.T * range_m
+    for lamp_m, span in zip(LAMPS_M, spans, strict=True):
+        x, y, z = (points_m - lamp_m).T
+        azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+        assert azimuths.min() > span[0] - 2e-3
+        assert azimuths.max() < span[1] + 2e-3
+        assert elevations.min() > span[2] - 2e-3
+        assert elevations.max() < span[3] + 2e-3
+
+
+@pytest.mark.parametrize("x", [205.0, 315.0, 330.0, 435.0])
+def test_a_vehicle_that_may_be_beside_us_may_be_anywhere_from_there_to_far_ahead(x: float) -> None:
+    """Lamps far before the camera, as of a coach: they see the nearest place behind them, past 180 degrees or not."""
+    camera = Camera(640, 480, (640.0, 640.0), (320.0, 240.0), (0.0,) * 5, Pose(np.array([1.7, -0.8, 3.0]), np.eye(3)))
+    lamps_m = np.array([[7.5, 0.9, 0.8], [7.5, -0.9, 0.8]])
+    (spans,), nearest_m = Sightlines(lamps_m, guard_config()).spans_rad(
+        camera, np.array([[x, 250.0, x + 4.0, 254.0]]), np.array([150.0]), np.array([450.0])
+    )
+    assert nearest_m == CLOSEST_M
+    points_m = (
+        camera.vehicle_from_camera.position_m + camera.rays([[x + 2.0, 252.0]]) / np.linspace(1e-3, 0.25, 99)[:, None]
+    )
+    for lamp_m, span in zip(lamps_m, spans, strict=True):
+        x_m, y_m, _ = (points_m - lamp_m).T
+        azimuths = np.arctan2(y_m, x_m)[x_m > 0.0]
+        assert len(azimuths) > 5
+        assert azimuths.min() > span[0] - 1e-4
+        assert azimuths.max() < span[1] + 1e-4
+
+
 def test_a_box_far_beyond_the_image_ends_at_a_right_angle() -> None:
     lines = Sightlines(LAMPS_M, guard_config())
     boxes = np.array([[-1e9, 100.0, -20.0, 200.0], [1200.0, 900.0, 5000.0, 1e9]])

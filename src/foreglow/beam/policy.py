@@ -57,7 +57,8 @@ EXPLAINED_S = 3.0
 until then what reflects it has passed us as well."""
 
 HIDDEN = -1
-"""The key of a hidden vehicle's gap is this less the id of the vehicle, or of the track whose light the gap is at."""
+"""The key of a hidden vehicle's gap is this less twice the id of the track whose light the gap is at, or less one and
+twice the id of the vehicle: ids of both are small numbers from 0 on."""
 
 
 class _Held(NamedTuple):
@@ -282,14 +283,16 @@ class ForeglowPolicy(BeamPolicy):
         for vehicle, lights in by_vehicle.items():
             expected = self._expected(frame, lights.values())
             if expected is None:
-                gaps += [(vehicle, HIDDEN - track_id, self._light_gap(bearing)) for track_id, bearing in lights.items()]
+                gaps += [
+                    (vehicle, HIDDEN - 2 * track_id, self._light_gap(bearing)) for track_id, bearing in lights.items()
+                ]
                 continue
             self.expected = self.expected or expected
             tail = 0.5 * (1.0 - self._config.coverage)
             right, left = expected.quantiles_rad((tail, 1.0 - tail))
             near_m = expected.nearest_m(tail)
             half_rad = math.atan2(VEHICLE_M, near_m) + self._margin_rad
-            key = HIDDEN - max(vehicle, 0)
+            key = HIDDEN - 1 - 2 * max(vehicle, 0)
             gaps.append((vehicle, key, Gap(right - half_rad, left + half_rad, near_m, math.inf)))
         return gaps
 

@@ -19,9 +19,6 @@ _AROUND = (
 )
 """Points around a box, shape (P, 2), in shares of its width and height."""
 
-ASIDE = 0.2
-"""Farther aside, the elevation of what is equally high in the image nears 0: by less than this share of the angle."""
-
 CLOSEST_M = 4.0
 """No vehicle is nearer to the camera: about as far away is the front end of ours."""
 
@@ -62,23 +59,31 @@ class Sightlines:
         nearness = np.empty((count, 2, 1, 1))
         nearness[:, 0, 0, 0] = 1.0 / nearest_m
         nearness[:, 1, 0, 0] = np.where(np.isnan(farthest_m), 0.0, 1.0 / farthest_m)
-        sides = np.minimum(np.maximum(boxes_xyxy_px, 0.0), np.tile((camera.width_px, camera.height_px), 2))
-        first, last = sides[:, np.newaxis, :2], sides[:, np.newaxis, 2:]
-        inside = (first * (1.0 - _AROUND) + last * _AROUND).reshape(-1, 2)
-        rays = self._caster.cast(camera, inside)
+        size_px = np.array((camera.width_px, camera.height_px), np.float64)
+        sides = np.minimum(np.maximum(boxes_xyxy_px, 0.0), np.tile(size_px, 2))
+        beyond_px = np.minimum(boxes_xyxy_px[:, :2], 0.0), np.maximum(boxes_xyxy_px[:, 2:] - size_px, 0.0)
+        is_beyond = beyond_px[0].any() or beyond_px[1].any()
+        rays = self._caster.cast(
+            camera,
+            _around(sides[:, :2], sides[:, 2:]),
+            beyond_rad=_around(*beyond_px) / camera.focal_px if is_beyond else None,
+        )
         # A point at range r lies in the direction ray + offset / r; shape (M, near or far, lamp, P, 3).
         offsets_m = (rays.origin_m - self._lamps_m)[:, np.newaxis]
         seen = rays.directions.reshape(count, 1, 1, len(_AROUND), 3) + nearness[..., np.newaxis] * offsets_m
         x, y, z = seen[..., 0], seen[..., 1], seen[..., 2]
         forward = np.sqrt(x * x + y * y)
         azimuths = np.arctan2(y, x)
+        # From the farthest range to the nearest, it turns by less than half a circle, past -180 degrees or not.
+        (near_x, far_x), (near_y, far_y) = x.swapaxes(0, 1), y.swapaxes(0, 1)
+        azimuths[:, 0] = azimuths[:, 1] + np.arctan2(far_x * near_y - far_y * near_x, far_x * near_x + far_y * near_y)
         eyes = z + self._config.eyes_above_m * nearness
         spans = np.empty((count, 2, 4))
         np.minimum.reduce(azimuths, axis=(1, 3), out=spans[..., 0])
         np.maximum.reduce(azimuths, axis=(1, 3), out=spans[..., 1])
         np.minimum.reduce(np.arctan2(z, forward), axis=(1, 3), out=spans[..., 2])
         np.maximum.reduce(np.arctan2(eyes, forward), axis=(1, 3), out=spans[..., 3])
-        return spans + _beyond_rad(camera, boxes_xyxy_px)[:, np.newaxis], nearest_m
+        return spans, nearest_m
 
     def from_origin_m(self, camera: Camera, boxes_xyxy_px: Floats, ranges_m: Floats) -> Floats:
         """The ranges from the vehicle's origin, seen from above, of what the camera sees in the boxes' middles.
@@ -100,15 +105,6 @@ class Sightlines:
         return np.asarray(np.hypot(places_m[:, 0], places_m[:, 1]))
 
 
-def _beyond_rad(camera: Camera, boxes_xyxy_px: Floats) -> Floats:
-    """By how much boxes that reach beyond the image extend their spans, shape (M, 4), as these."""
-    x1, y1, x2, y2 = boxes_xyxy_px.T
-    (focal_x, focal_y), turned = camera.focal_px, camera.vehicle_from_camera.rotation
-    # What is further aside is higher by the roll; what is higher is further aside as the image leans any way.
-    roll_sine, lean_sine = abs(turned[2, 1]), np.hypot(turned[0, 2], turned[1, 2])
-    left, right = np.maximum(-x1, 0.0) / focal_x, np.maximum(x2 - camera.width_px, 0.0) / focal_x
-    top, bottom = np.maximum(-y1, 0.0) / focal_y, np.maximum(y2 - camera.height_px, 0.0) / focal_y
-    across, upright = (roll_sine + ASIDE) * (left + right), lean_sine * (top + bottom)
-    beyond = np.stack([-right - upright, left + upright, -bottom - across, top + across], axis=1)
-    clipped: Floats = np.clip(beyond, -np.pi / 2, np.pi / 2)
-    return clipped
+def _around(first: Floats, last: Floats) -> Floats:
+    """Points around boxes, shape (M * P, 2), from their corners of shape (M, 2)."""
+    return np.asarray(first[:, np.newaxis] * (1.0 - _AROUND) + last[:, np.newaxis] * _AROUND).reshape(-1, 2)
