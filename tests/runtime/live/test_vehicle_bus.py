@@ -84,7 +84,7 @@ def test_what_is_to_be_said_of_the_bus(tmp_path: Path, buses: tuple[VehicleBus, 
     until(lambda: not bus.log.is_empty)
     (line,) = bus.lines
     assert line.startswith("virtual:car: ")
-    assert line.endswith(" (left out, as were 2 more)")
+    assert line.endswith(" (messages left out: 3)")
 
 
 def test_a_bus_that_vanishes_is_opened_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

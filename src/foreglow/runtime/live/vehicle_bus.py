@@ -64,7 +64,7 @@ class VehicleBus:
             num_again = self._bus.num_opened_again
             lines.append(f"{self._channel}: failed: {self._bus.failure} (times it was opened again: {num_again})")
         if self.num_broken:
-            lines.append(f"{self._first_broken} (left out, as were {self.num_broken - 1} more)")
+            lines.append(f"{self._first_broken} (messages left out: {self.num_broken})")
         if self.log.is_empty:
             names = ", ".join(self._decoder.message_names)
             lines.append(f"{self._channel}: expected messages of {names}, with values, got none")
