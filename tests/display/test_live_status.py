@@ -34,3 +34,15 @@ def test_control_characters_are_shown_and_not_carried_out(capsys: pytest.Capture
     status.write_health(dataclasses.replace(health(1, "no_frame"), details="camera \x1b[2J\x07\u202e is gone"))
     status.close()
     assert "no_frame (camera \\x1b[2J\\x07\\u202e is gone)" in capsys.readouterr().err
+
+
+def test_a_screen_that_takes_no_more_is_no_lack_of_the_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a log on a full disk, all results counted as not recorded although they were."""
+    status = LiveStatus()
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(status._console, "print", fail)
+    status.write_health(health(1, "stage_failed"))
+    status.close()

@@ -15,11 +15,13 @@ import pytest
 from foreglow.beam.messages import (
     GAPS_ID,
     LEVELS_IDS,
+    NUM_COUNTS,
     RAMP_S,
     CanFrame,
     CommandEncoder,
     decode_gaps,
     decode_levels,
+    decode_part,
 )
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.config import BeamConfig, GuardConfig
@@ -264,6 +266,46 @@ def test_the_rest_of_a_command_is_not_sent_when_its_driver_hung(monkeypatch: pyt
     bus.send(command_at(PERIOD, 0.0))  # the next one is whole
     assert sent[3:] == [*LEVELS_IDS, GAPS_ID]
     bus.close()
+
+
+def test_a_bus_that_vanishes_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an adapter that is unplugged and comes back: no command was ever sent again."""
+    monkeypatch.setattr("foreglow.runtime.can_output.REOPEN_S", 0.1)
+    is_there, sent, closed = [True], list[Any](), list[Any]()
+
+    class Adapter:
+        def __init__(self) -> None:
+            self._is_known = True
+
+        def send(self, message: Any, **_: object) -> None:
+            self._is_known &= is_there[0]
+            if not self._is_known:
+                raise can.CanOperationError("No such device")
+            sent.append(message)
+
+        def shutdown(self) -> None:
+            closed.append(self)
+
+    def connect(**_: object) -> Adapter:
+        if not is_there[0]:
+            raise OSError(19, "No such device")
+        return Adapter()
+
+    monkeypatch.setattr(can, "Bus", connect)
+    bus = CanBus("can0")
+    bus.send(command_at(0))
+    is_there[0] = False
+    for number in range(1, 4):
+        with pytest.raises(OSError, match=r"^can0: .*No such device"):
+            bus.send(command_at(number * PERIOD))
+        time.sleep(0.11)
+    is_there[0] = True
+    bus.send(command_at(4 * PERIOD))
+    assert len(sent) == 10
+    counters = [decode_part(message.arbitration_id, bytes(message.data)).header.counter for message in sent[::5]]
+    assert (counters[1] - counters[0]) % NUM_COUNTS == 4
+    bus.close()
+    assert len(closed) == 2
 
 
 @pytest.mark.parametrize("max_age_s", [0.3, None])

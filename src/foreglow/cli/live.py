@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from foreglow.datasets import VehicleData
     from foreglow.runtime.health import LiveSink
     from foreglow.runtime.live import BeamOutput, LiveEndedError, LiveSource, LiveSummary
+    from foreglow.runtime.live.vehicle_bus import VehicleBus
 
 SOURCE_HELP = (
     "A camera (camera:0, camera:/dev/video0 or gstreamer:PIPELINE), an address such as rtsp://..., a simulated drive "
@@ -116,7 +117,12 @@ def live(
     has_lamps = configuration.beam.headlamps is not None  # a simulated drive is lit by those that ship
     refuse_unused(source, {"--lamps": has_lamps and "--lamps" not in known})
     with contextlib.ExitStack() as closing:
-        data = vehicle.read() if can_in is None else _bus_data(vehicle, can_in, closing)
+        data: VehicleData | None = None
+        bus: VehicleBus | None = None
+        if can_in is None:
+            data = vehicle.read()
+        else:
+            data, bus = _bus_data(vehicle, can_in, closing)
         options = CameraOptions(
             size_px=capture.size_px,
             rate_hz=capture.rate,
@@ -136,11 +142,12 @@ def live(
 
         summary, error = _run(opened, configuration, out, outputs, make_sinks(), limit, give_up)
     notes = source_notes(opened.source) if isinstance(opened, Paced) else []
+    notes += [] if bus is None else bus.lines
     _finish(summary, out, error, [*notes, *unused_lines(vehicle, summary.run), *boxes_notes(configuration)])
 
 
-def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> VehicleData:
-    """What the car's bus and the calibration say about each frame."""
+def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitStack) -> tuple[VehicleData, VehicleBus]:
+    """What the car's bus and the calibration say about each frame, and the bus."""
     from foreglow.calibration import read_calibration
     from foreglow.datasets.vehicle_logs import VehicleFiles
     from foreglow.runtime.live.vehicle_bus import VehicleBus
@@ -150,7 +157,8 @@ def _bus_data(vehicle: VehicleOptions, channel: str, closing: contextlib.ExitSta
     vehicle.check()
     camera = None if vehicle.calibration is None else read_calibration(vehicle.calibration)
     bus = closing.enter_context(contextlib.closing(VehicleBus(channel, vehicle.dbc, vehicle.mapping)))
-    return VehicleFiles(camera=camera, log=bus.log, names=(str(vehicle.calibration), channel, ""), is_live=True)
+    names = str(vehicle.calibration), channel, ""
+    return VehicleFiles(camera=camera, log=bus.log, names=names, is_live=True), bus
 
 
 def _run(

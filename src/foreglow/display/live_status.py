@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 from rich.console import Console
@@ -32,7 +33,11 @@ class LiveStatus:
         """Shows nothing: results come too fast to read."""
 
     def write_health(self, health: Health) -> None:
-        """Shows the present state."""
+        """Shows the present state; a screen that takes no more, as a log on a full disk, is no lack of the results."""
+        with contextlib.suppress(OSError):
+            self._show(health)
+
+    def _show(self, health: Health) -> None:
         now = (health.faults, health.details)
         is_well = not health.faults and not (health.beam and health.beam.faults)
         if now != self._said and (health.faults or is_well):

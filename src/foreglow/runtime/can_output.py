@@ -6,13 +6,14 @@ import contextlib
 import dataclasses
 import io
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from foreglow.beam.messages import RAMP_S, CanFrame, CommandEncoder
 from foreglow.datasets.vehicle_logs.can_writing import keep_times
-from foreglow.plugins import described
+from foreglow.datasets.vehicle_logs.log_frames import CanKey
+from foreglow.plugins import described, words_of
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
 from foreglow.whole_files import AtomicFile, naming
@@ -25,6 +26,9 @@ LOG_SUFFIXES = (".asc", ".blf", ".log")
 
 SEND_TIMEOUT_S = 0.02
 """Longest wait for the bus to accept a frame."""
+
+REOPEN_S = 1.0
+"""A bus that has failed for so long is opened again, and again after as long."""
 
 MAX_SEND_S = 0.15
 """After this time the rest of a command is not sent: its driver hung, and low beam was decided meanwhile. It is more
@@ -109,8 +113,80 @@ class CanLogSink:
         self._written.discard()
 
 
-def open_bus(channel: str) -> can.BusABC:
+class LastingBus:
+    """A live bus, which is opened again once it has failed for `REOPEN_S`, as an adapter that was unplugged needs it.
+
+    Attributes:
+        failure: Why it failed, the last time; empty if it never did.
+        num_opened_again: How often it was opened again.
+    """
+
+    def __init__(self, channel: str, ids: Collection[CanKey]) -> None:
+        """Opens it, as `open_bus` does, and raises what the driver raises."""
+        interface, colon, rest = channel.partition(":")
+        self._interface, self._channel = (interface, rest) if colon else ("socketcan", channel)
+        self._ids = ids
+        self.failure, self.num_opened_again = "", 0
+        self._failed_s: float | None = None
+        self._bus: can.BusABC | None = self._opened()
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        """Sends a message; raises what the driver raises."""
+        with self._watched():
+            self._ready().send(message, timeout=timeout)
+            self._failed_s = None
+
+    def recv(self, timeout: float) -> can.Message | None:
+        """The next message, None if none comes; raises what the driver raises."""
+        with self._watched():
+            message = self._ready().recv(timeout)
+            if message is not None:  # a socket whose interface is gone says so once, and is silent then
+                self._failed_s = None
+            return message
+
+    def shutdown(self) -> None:
+        """Closes it."""
+        if self._bus is not None:
+            self._bus.shutdown()
+
+    @contextlib.contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            self.failure = words_of(error) or type(error).__name__
+            self._failed_s = self._failed_s or time.monotonic()
+            raise
+
+    def _ready(self) -> can.BusABC:
+        if self._failed_s is not None and time.monotonic() - self._failed_s >= REOPEN_S:
+            with contextlib.suppress(Exception):
+                self.shutdown()
+            self._bus, self._failed_s = None, time.monotonic()
+            self._bus, self._failed_s = self._opened(), None
+            self.num_opened_again += 1
+        if self._bus is None:
+            raise OSError(self.failure)
+        return self._bus
+
+    def _opened(self) -> can.BusABC:
+        import can
+
+        bus = can.Bus(interface=self._interface, channel=self._channel, fd=True)
+        masks = {False: 0x7FF, True: 0x1FFF_FFFF}  # all bits of an identifier, by whether it is extended
+        if self._ids:
+            bus.set_filters(
+                [{"can_id": one, "can_mask": masks[is_long], "extended": is_long} for one, is_long in self._ids]
+            )
+        return bus
+
+
+def open_bus(channel: str, ids: Collection[CanKey] = ()) -> LastingBus:
     """The bus that a user names: `interface:channel` of python-can, or a channel of SocketCAN such as `can0`.
+
+    Args:
+        channel: What the user names.
+        ids: The identifiers to receive; none for all. A car may send thousands of others a second.
 
     Raises:
         ModuleNotFoundError: If python-can is not installed (extra `can`).
@@ -119,9 +195,8 @@ def open_bus(channel: str) -> can.BusABC:
     """
     import can
 
-    interface, colon, rest = channel.partition(":")
     try:
-        return can.Bus(interface=interface if colon else "socketcan", channel=rest if colon else channel, fd=True)
+        return LastingBus(channel, ids)
     except can.CanInterfaceNotImplementedError as error:
         raise ValueError(f"{channel}: expected an interface of python-can: {error}") from None
     except (can.CanError, OSError) as error:

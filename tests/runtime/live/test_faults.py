@@ -238,6 +238,22 @@ def test_bus_whose_driver_hangs(drive: list[Frame]) -> None:
         assert not thread.is_alive(), thread.name
 
 
+def test_no_bus_waits_for_another_one(drive: list[Frame]) -> None:
+    """Each takes a command only once the other one has begun to."""
+    both = threading.Barrier(2)
+
+    class Waiting(Lamps):
+        def send(self, command: Any) -> None:
+            both.wait(20.0)
+            super().send(command)
+
+    configuration = live_config()
+    make, outputs = (lambda: Pipeline(configuration)), [Waiting(), Waiting()]
+    summary = LiveLoop(ScriptedCamera(drive[:3]), make, configuration, outputs=outputs).run()
+    assert not summary.fault_counts
+    assert [len(one.commands) for one in outputs] == [4, 4]
+
+
 def test_bus_whose_driver_never_comes_back_does_not_keep_the_loop(drive: list[Frame]) -> None:
     is_over = threading.Event()
 

@@ -157,6 +157,8 @@ def test_watch_of_a_slow_camera() -> None:
     lost, slow = {"frame_lost"}, {"camera_slow"}  # the second late one in a row is slow, until three came in time
     #               0      1      2      4     5      7     9     11    12    13    14     15
     assert seen == [set(), set(), set(), lost, set(), lost, slow, slow, slow, slow, set(), set()]
+    (event,) = (event for event in book.events if event.fault == "camera_slow")
+    assert event.detail == "100 ms between frames, expected 50"  # as of a camera without its --rate
 
 
 def test_watch_of_a_camera_that_is_late_again() -> None:

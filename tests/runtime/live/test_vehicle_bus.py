@@ -71,6 +71,58 @@ def test_broken_frames_are_passed_over(tmp_path: Path, buses: tuple[VehicleBus, 
     until(lambda: not bus.log.is_empty)
 
 
+def test_what_is_to_be_said_of_the_bus(tmp_path: Path, buses: tuple[VehicleBus, Any]) -> None:
+    bus, sender = buses
+    assert bus.lines == [
+        "virtual:car: expected messages of StreetSegment, StreetPosition, EgoMotion, with values, got none"
+    ]
+    write_can_log(tmp_path / "car.log", [], [(1, EgoMotion(25.0, 0.02))])
+    (message,) = can.LogReader(tmp_path / "car.log")
+    for _ in range(3):
+        sender.send(can.Message(arbitration_id=message.arbitration_id, is_extended_id=False, data=b"\x01"))
+    sender.send(message)
+    until(lambda: not bus.log.is_empty)
+    (line,) = bus.lines
+    assert line.startswith("virtual:car: ")
+    assert line.endswith(" (messages left out: 3)")
+
+
+def test_a_bus_that_vanishes_is_opened_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an adapter that is unplugged: its socket says so once, and stays silent when the adapter is there again."""
+    monkeypatch.setattr("foreglow.runtime.can_output.REOPEN_S", 0.05)
+    write_can_log(tmp_path / "car.log", [], [(1, EgoMotion(25.0, 0.02))])
+    (message,) = can.LogReader(tmp_path / "car.log")
+    opened: list[Any] = []
+
+    class Unplugged:
+        def __init__(self) -> None:
+            self.errors = [] if opened else [OSError(19, "No such device")]
+
+        def set_filters(self, filters: list[dict[str, Any]]) -> None:
+            assert {one["can_id"] for one in filters} >= {message.arbitration_id}
+
+        def recv(self, timeout: float) -> Any:
+            if self.errors:
+                raise self.errors.pop()
+            time.sleep(min(timeout, 0.01))
+            return message if len(opened) == 4 else None
+
+        def shutdown(self) -> None:
+            pass
+
+    def connect(**_: object) -> Any:
+        opened.append(Unplugged())
+        if 1 < len(opened) < 4:
+            raise OSError(19, "No such device")
+        return opened[-1]
+
+    monkeypatch.setattr(can, "Bus", connect)
+    bus = VehicleBus("can9")
+    until(lambda: bus.log.has("speed"))
+    bus.close()
+    assert bus.lines == ["can9: failed: [Errno 19] No such device (times it was opened again: 1)"]
+
+
 def test_a_bus_whose_driver_hangs_does_not_keep_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
     is_over = threading.Event()
 
@@ -81,7 +133,7 @@ def test_a_bus_whose_driver_hangs_does_not_keep_the_program(monkeypatch: pytest.
         def shutdown(self) -> None:
             pass
 
-    monkeypatch.setattr("foreglow.runtime.live.vehicle_bus.open_bus", lambda _: Hanging())
+    monkeypatch.setattr("foreglow.runtime.live.vehicle_bus.open_bus", lambda *_: Hanging())
     monkeypatch.setattr("foreglow.runtime.live.vehicle_bus.HANGING_S", 0.1)
     bus = VehicleBus("can9")
     bus.close()

@@ -6,8 +6,10 @@ import dataclasses
 import itertools
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -20,11 +22,12 @@ from foreglow.datasets.vehicle_logs import VehicleFiles
 from foreglow.runtime.ros2 import topics
 from foreglow.runtime.ros2.environment import prepare
 from foreglow.runtime.ros2.frame_reader import FrameReader
-from foreglow.runtime.ros2.header import Header
-from foreglow.runtime.ros2.join import Joined
+from foreglow.runtime.ros2.header import Header, read_header
+from foreglow.runtime.ros2.input_messages import road_message, twist_message
+from foreglow.runtime.ros2.join import Join, Joined
 from foreglow.runtime.ros2.source import PAUSE_NS, Due, FramePublisher, Player, repeated, timed
-from foreglow.types import Frame
-from tests.runtime.mcap.drives import CAMERA
+from foreglow.types import EgoMotion, Frame
+from tests.runtime.mcap.drives import CAMERA, ROAD
 from tests.stand_ins import night_frames
 
 pytestmark = pytest.mark.ros
@@ -158,6 +161,33 @@ def test_a_live_camera_is_stamped_with_its_exposure_and_opened_anew(monkeypatch:
     stamps_ns = [due.header.timestamp_ns for due, _ in sent]
     assert stamps_ns == sorted(set(stamps_ns))
     assert {due.header.sequence for due, _ in sent} == {"S00001"}
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+@pytest.mark.usefixtures("domain")
+def test_the_car_is_heard_beside_a_live_camera() -> None:
+    """The camera said of each frame that the speed is unknown, so that there was never light."""
+    sampled = (topics.MOUNT, topics.TWIST, topics.ATTITUDE, topics.ROAD, topics.DAMAGE)
+    player, join = Player(lambda: False), Join((topics.IMAGE, topics.CAMERA_INFO), sampled)
+    told, seen = EgoMotion(25.0, 0.01), list[Frame]()
+
+    def publish(messages: Iterable[tuple[str, Any]]) -> None:
+        due = list(messages)
+        header = read_header(due[-1][1].header, topics.IMAGE)
+        before = Header(header.timestamp_ns - 10_000_000)
+        join.put(topics.TWIST, before, twist_message(before, told), 0)
+        join.put(topics.ROAD, before, road_message(before, ROAD), 0)
+        for topic, message in due:
+            join.put(topic, header, message, 0)
+        joined = join.take(Join.PATIENCE_NS)
+        seen.extend([] if joined is None else [FrameReader().read(joined)])
+
+    player._publisher = SimpleNamespace(messages=FramePublisher.messages, publish=publish)  # type: ignore[assignment]
+    assert player.stream(ScriptedCamera(night_frames(3), is_live=True, is_endless=True), limit=3) == 3
+    rclpy.shutdown()
+    motions = [frame.motion for frame in seen]
+    assert [motion and (motion.speed_mps, motion.yaw_rate_radps) for motion in motions] == 3 * [(25.0, 0.01)]
+    assert all(frame.road is not None for frame in seen)
 
 
 @pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own

@@ -434,7 +434,7 @@ def test_a_bus_that_failed_is_told_to_the_guard() -> None:
     try:
         output, low = BeamOutput(made.node, preset("foreglow").commanding(), can=bus), BeamCommand.low(0, 80)
         output.send(Header(0), low)
-        assert output.arrived() == output.arrived() == (LiveFault.BUS,)
+        assert output.arrived() == output.arrived() == tuple(made.node._said_ns) == (LiveFault.BUS,)  # and logged
         bus.is_broken = False
         output.send(Header(0), low)
         assert output.arrived() == ()

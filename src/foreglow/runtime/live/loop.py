@@ -356,7 +356,8 @@ class LiveLoop:
     def _deliver(self, worker: Worker, stepped: Stepped) -> None:
         """Sends a frame's command, then passes its result to the sinks; runs in the computing thread."""
         frame, result = stepped.arrival.frame, stepped.result
-        with self._lock:
+        ready_ns = time.monotonic_ns()
+        with self._lock:  # for which it may have to wait while low beam is sent
             if worker is not self._worker or self._is_ended or self._is_enough:
                 return
             self._num_taken += 1
@@ -368,7 +369,6 @@ class LiveLoop:
             if beam is None or faults:  # a stage failed, or a fault appeared meanwhile
                 found = () if beam is None else beam.faults
                 beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *dict.fromkeys([*faults, *found]))
-            ready_ns = time.monotonic_ns()
             self._send(beam)
             sent_ns = time.monotonic_ns()
         age_ns = 0 if self._source.is_lossless else self._source.now_ns() - frame.timestamp_ns
@@ -393,7 +393,9 @@ class LiveLoop:
 
     def _send(self, command: BeamCommand) -> None:
         self._beam = command
-        self._note_bus([error for outlet in self._outlets if (error := outlet.send(command))])
+        for outlet in self._outlets:  # all at once: one that hangs keeps no other waiting
+            outlet.begin(command)
+        self._note_bus([error for outlet in self._outlets if (error := outlet.outcome())])
 
     def _note_bus(self, errors: Sequence[str]) -> None:
         self._book.note(BUS, [LiveFault.BUS] if errors else [], "; ".join(errors))

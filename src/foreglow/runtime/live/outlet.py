@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -53,27 +54,39 @@ class Outlet:
         self._output, self._limit_s = output, limit_s
         self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
         self._latest: _Call | None = None
+        self._is_refused, self._due_s = False, 0.0
         self._thread = threading.Thread(target=self._run, name=f"{THREADS}output {type(output).__name__}", daemon=True)
         self._thread.start()
 
+    def begin(self, command: BeamCommand) -> None:
+        """Has a command sent, which goes to several outlets at once if each begins before the first `outcome`."""
+        self._begin(lambda: self._output.send(command))
+
+    def outcome(self) -> str:
+        """Waits for what was begun, `limit_s` from then on at most; returns why it failed, empty if it did not."""
+        call = self._latest
+        if call is not None and not self._is_refused and call.has_ended.wait(max(0.0, self._due_s - time.monotonic())):
+            return call.failure
+        return f"{type(self._output).__name__} takes longer than {self._limit_s:g} s"
+
     def send(self, command: BeamCommand) -> str:
         """Sends a command; returns why that failed, empty if it did not."""
-        return self._called(lambda: self._output.send(command))
+        self.begin(command)
+        return self.outcome()
 
     def close(self) -> str:
         """Ends the connection and the thread; returns why that failed, empty if it did not."""
-        failure = self._called(self._output.close)
+        self._begin(self._output.close)
+        failure = self.outcome()
         self._calls.put(None)
         self._thread.join(self._limit_s)
         return failure
 
-    def _called(self, method: Callable[[], None]) -> str:
-        if self._latest is None or self._latest.has_ended.is_set():
-            self._latest = call = _Call(method)
-            self._calls.put(call)
-            if call.has_ended.wait(self._limit_s):
-                return call.failure
-        return f"{type(self._output).__name__} takes longer than {self._limit_s:g} s"
+    def _begin(self, method: Callable[[], None]) -> None:
+        self._is_refused = self._latest is not None and not self._latest.has_ended.is_set()
+        if not self._is_refused:
+            self._latest, self._due_s = _Call(method), time.monotonic() + self._limit_s
+            self._calls.put(self._latest)
 
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from foreglow.datasets.vehicle_logs import CanDecoder, CanLog
+from foreglow.plugins import words_of
 from foreglow.runtime.can_output import open_bus
 from foreglow.runtime.live.worker import THREADS
 
@@ -43,8 +44,9 @@ class VehicleBus:
             OSError: If the bus cannot be opened.
         """
         self._decoder = CanDecoder(dbc, mapping, keep_s=KEEP_S)
-        self._bus = open_bus(channel)
-        self.num_broken = 0
+        self._channel = channel
+        self._bus = open_bus(channel, self._decoder.keys)
+        self.num_broken, self._first_broken = 0, ""
         self._is_closed = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=f"{THREADS}vehicle bus", daemon=True)
         self._thread.start()
@@ -54,13 +56,27 @@ class VehicleBus:
         """The car's data of the last seconds."""
         return self._decoder.log
 
+    @property
+    def lines(self) -> list[str]:
+        """What is to be said of the bus at the end: what failed, and why the motion may have been unknown."""
+        lines = []
+        if self._bus.failure:
+            num_again = self._bus.num_opened_again
+            lines.append(f"{self._channel}: failed: {self._bus.failure} (times it was opened again: {num_again})")
+        if self.num_broken:
+            lines.append(f"{self._first_broken} (messages left out: {self.num_broken})")
+        if self.log.is_empty:
+            names = ", ".join(self._decoder.message_names)
+            lines.append(f"{self._channel}: expected messages of {names}, with values, got none")
+        return lines
+
     def close(self) -> None:
         """Stops listening."""
         self._is_closed.set()
         self._thread.join(HANGING_S)
 
     def _listen(self) -> None:
-        """Receives frames until closed. When the bus fails, the speed becomes stale, which the guard notices."""
+        """Receives frames until closed. While the bus fails, the speed becomes stale, which the guard notices."""
         while not self._is_closed.is_set():
             try:
                 message = self._bus.recv(WAIT_S)
@@ -72,8 +88,9 @@ class VehicleBus:
             key = message.arbitration_id, bool(message.is_extended_id)
             if key in self._decoder.keys:
                 try:
-                    self._decoder.take(time.monotonic_ns(), key, bytes(message.data), "bus")
-                except ValueError:
+                    self._decoder.take(time.monotonic_ns(), key, bytes(message.data), self._channel)
+                except ValueError as error:
                     self.num_broken += 1
+                    self._first_broken = self._first_broken or words_of(error)
         with contextlib.suppress(Exception):
             self._bus.shutdown()

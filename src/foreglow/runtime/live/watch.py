@@ -41,13 +41,13 @@ class FrameWatch:
         self._max_silence_s = max_silence_s or config.silent_frames * period_s / speed
         self._max_pause_s = max_silence_s or config.slow_frames * period_s / speed
         self._max_step_ns = config.slow_frames * period_s * 1e9
-        self._num_steady = config.num_steady
+        self._num_steady, self._period_s = config.num_steady, period_s
         self._heard_s = time.monotonic() + config.retry_s
         self._frame_s = time.monotonic()
         self._latest: Frame | None = None
         self._num_slow, self._num_in_time = 0, config.num_steady
         self._num_unknown = 0  # images until those of another size are known
-        self._lost = ""
+        self._lost, self._slow = "", ""
 
     def arrived(self, frame: Frame) -> bool:
         """Checks a frame that has arrived; returns whether it is newer than the previous one and may be used."""
@@ -64,6 +64,8 @@ class FrameWatch:
                 self._num_unknown = NUM_UNKNOWN
         self._heard(frame)
         is_slow = step_ns > self._max_step_ns
+        if is_slow:
+            self._slow = f"{step_ns / 1e6:.0f} ms between frames, expected {self._period_s * 1e3:.0f}"
         self._num_slow = self._num_slow + 1 if is_slow else 0
         self._num_in_time = 0 if self._num_slow >= 2 else self._num_in_time + (not is_slow)
         self._note()
@@ -106,7 +108,8 @@ class FrameWatch:
     def _note(self, *faults: LiveFault) -> None:
         slow = [] if self._num_in_time >= self._num_steady else [LiveFault.CAMERA_SLOW]
         resized = [LiveFault.RESIZED] if self._num_unknown else []
-        self._book.note(CAMERA, [*faults, *slow, *resized], self._lost)
+        detail = self._lost or (self._slow if slow and not faults and not resized else "")
+        self._book.note(CAMERA, [*faults, *slow, *resized], detail)
 
 
 def _format(frame: Frame) -> tuple[object, ...]:

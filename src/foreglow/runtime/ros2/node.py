@@ -248,7 +248,7 @@ class FrameNode(ABC, Generic[Inputs]):
             try:
                 header = read_header(message.header, topic)
             except ValueError as error:
-                self._note(BAD_MESSAGE, error)
+                self.note(BAD_MESSAGE, error)
                 self.refused()
                 return
             self._join.put(topic, header, message, time.monotonic_ns())
@@ -263,7 +263,7 @@ class FrameNode(ABC, Generic[Inputs]):
         ahead_s = self._join.ahead_s(now_ns)
         for topic, by_s in ahead_s.items():
             limit = f"expected at most {Join.AHEAD_NS / 1e9:g} s later than ROS time, got {by_s:.2f} s"
-            self._note(STAMPED_AHEAD, ValueError(f"{topic}: header.stamp: {limit}"))
+            self.note(STAMPED_AHEAD, ValueError(f"{topic}: header.stamp: {limit}"))
         if not ahead_s:
             self.faults.discard(STAMPED_AHEAD)
 
@@ -274,7 +274,7 @@ class FrameNode(ABC, Generic[Inputs]):
         self._looked_ns = now_ns
         unheard = next(self._unheard(), None)
         if unheard is not None:
-            self._note(UNHEARD, ValueError(unheard))
+            self.note(UNHEARD, ValueError(unheard))
         else:
             self.faults.discard(UNHEARD)
 
@@ -309,7 +309,7 @@ class FrameNode(ABC, Generic[Inputs]):
             stopwatch.end()
         except (Exception, SystemExit) as error:  # whatever a plug-in raises: the node goes on, or commands low beam
             self._has_failed = True
-            self._note(fault, error)
+            self.note(fault, error)
             self.failed(header, fault)
             return
         self.faults.difference_update((BAD_MESSAGE, LiveFault.STAGE_FAILED))
@@ -322,7 +322,8 @@ class FrameNode(ABC, Generic[Inputs]):
             self._slowest_ms[name] = max(value, self._slowest_ms.get(name, 0.0))
         self._timing.publish(timing_message(Header(header.timestamp_ns, self.name), times_ms))
 
-    def _note(self, fault: str, error: BaseException) -> None:
+    def note(self, fault: str, error: BaseException) -> None:
+        """Adds a fault, and logs its cause, at most once a second."""
         self.faults.add(fault)
         now_ns = time.monotonic_ns()
         if now_ns - self._said_ns.get(fault, -REPORT_NS) >= REPORT_NS:  # each for itself: one that lasts hides no other

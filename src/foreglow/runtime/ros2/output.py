@@ -41,7 +41,7 @@ class BeamOutput:
         """
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
         self._publisher = node.publisher(topics.BEAM)
-        self._faults = node.faults
+        self._faults, self._note = node.faults, node.note
         self._clock_ns = node.clock_ns
         self._can = None if can is None else Outlet(can)
         self._frame_ns = round(1e9 / config.tracker.rate_hz)
@@ -81,7 +81,8 @@ class BeamOutput:
             self._can.close()
 
     def _send_can(self, can: Outlet, command: BeamCommand) -> None:
-        if can.send(command):
-            self._faults.add(LiveFault.BUS)
+        failure = can.send(command)
+        if failure:
+            self._note(LiveFault.BUS, OSError(failure))
         else:
             self._faults.discard(LiveFault.BUS)

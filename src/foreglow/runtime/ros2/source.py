@@ -36,6 +36,10 @@ RETRY_S = 1.0
 """Pause between two attempts to open a camera."""
 
 
+OF_THE_CAR = frozenset((topics.TWIST, topics.ATTITUDE, topics.ROAD))
+"""What a camera knows nothing of. That it is unknown would count in place of what the car's own nodes tell."""
+
+
 class Due(NamedTuple):
     """A frame, and the header of its messages, whose time is when the frame is due."""
 
@@ -163,7 +167,7 @@ class Player:
     def stream(self, camera: LiveSource, *, limit: int | None = None) -> int:
         """Publishes the frames of a live camera as they arrive, stamped with their exposure; returns how many.
 
-        A camera that is lost is opened again, as often as necessary.
+        Nothing `OF_THE_CAR` is published with them. A camera that is lost is opened again, as often as necessary.
         """
         num_frames = 0
         try:
@@ -172,7 +176,8 @@ class Player:
                     for frame in camera:
                         stamp_ns = self.clock_ns() - (camera.now_ns() - frame.timestamp_ns)
                         due = Due(frame, Header(stamp_ns, sequence_name(frame.sequence, 0)))
-                        self._publisher.publish(self._publisher.messages(due))
+                        messages = self._publisher.messages(due)
+                        self._publisher.publish(one for one in messages if one[0] not in OF_THE_CAR)
                         num_frames += 1
                         if self._should_stop() or num_frames == limit:
                             return num_frames
