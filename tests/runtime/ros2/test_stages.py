@@ -207,8 +207,8 @@ def test_a_fault_that_lasts_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> N
         with monkeypatch.context() as patch:
             patch.setattr(node, "ros", SimpleNamespace(get_logger=lambda: SimpleNamespace(error=lines.append)))
             for _ in range(3):
-                node._note(STAMPED_AHEAD, ValueError("a"))
-                node._note(BAD_MESSAGE, ValueError("b"))
+                node.note(STAMPED_AHEAD, ValueError("a"))
+                node.note(BAD_MESSAGE, ValueError("b"))
         assert lines == [f"{STAMPED_AHEAD}: a", f"{BAD_MESSAGE}: b"]
     finally:
         node.close()
