@@ -140,14 +140,24 @@ def test_a_folder_of_which_there_are_no_labels(tmp_path: Path) -> None:
             assert words in complaint("export-mot", run, labelled, "--out", tmp_path / "mot")
 
 
-def test_folders_whose_images_nothing_tells_apart(tmp_path: Path) -> None:
-    """Bitmaps have the same sizes whatever is in them: the path tells, or nothing does."""
+def test_bitmaps_are_told_apart_by_what_they_show(tmp_path: Path) -> None:
+    """They have the same sizes whatever is in them."""
     images, labels = drives(tmp_path, "a{}.bmp", ("A", "B"))
     own = tmp_path / "own"
     done("labels", "import", labels, "--images", images, "--out", own)
-    run = run_on(images / "B", tmp_path / "run")
-    for labelled in (own, labels):
+    shutil.copytree(images / "B", tmp_path / "elsewhere")
+    runs = [run_on(images / "B", tmp_path / "run"), run_on(tmp_path / "elsewhere", tmp_path / "run_elsewhere")]
+    for labelled, run in ((own, runs[0]), (labels, runs[0]), (own, runs[1])):
         assert compared(labelled, run).items() >= all_found().items()
+
+
+def test_folders_whose_images_nothing_tells_apart(tmp_path: Path) -> None:
+    """The path tells, or nothing does."""
+    images, labels = drives(tmp_path, "a{}.bmp", ("A", "B"))
+    for image in (images / "A").iterdir():
+        shutil.copy(image, images / "B")
+    own = tmp_path / "own"
+    done("labels", "import", labels, "--images", images, "--out", own)
     shutil.copytree(images / "B", tmp_path / "elsewhere")
     run = run_on(tmp_path / "elsewhere", tmp_path / "run_elsewhere")
     said = complaint("evaluate", own, "--predictions", run / "frames.jsonl")

@@ -400,7 +400,7 @@ def _training_lines(summary: dict[str, Any], folder: Path) -> list[str]:
             f"error {error['before']:.3f} before, {error['after']:.3f} after"
         )
     lines += [
-        *figures["doubts"],
+        *figures.get("doubts", ()),  # not in those of earlier versions
         f"on the validation boxes{after}: P {number(figures['precision'], 3)}, R {number(figures['recall'], 3)}, "
         f"F {number(figures['f1'], 3)} at a score of {figures['threshold']:g}",
     ]
