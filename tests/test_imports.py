@@ -55,6 +55,7 @@ ALLOWED: dict[str, set[str]] = {
         "outputs",
         "own_folders",
         "provenance",
+        "models",
         "datasets",
     },
     "runtime": VALUES

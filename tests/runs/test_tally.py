@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import subprocess
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from foreglow.config import PipelineConfig, preset
 from foreglow.display.summary_lines import run_lines
 from foreglow.files import json_text
 from foreglow.geometry import Camera, Pose
+from foreglow.models import SHA256
 from foreglow.runs import tally as tallies
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally, run_time
@@ -40,6 +42,19 @@ def test_scored_boxes_are_counted() -> None:
     assert (counted.num_ranged, counted.num_tracks) == (0, None)
     assert (counted.num_frames, counted.num_proposals, counted.num_scored, counted.num_accepted) == (2, 2, 2, 1)
     assert counted.run_time_ms["total"] == {"median": 0.25, "p95": 0.25, "p99": 0.25}
+
+
+def test_models_at_the_same_path_are_told_apart(tmp_path: Path) -> None:
+    model, digests = tmp_path / "model.onnx", []
+    config = preset("paper").changed("classifier", model=model)
+    for content in (b"one", b"another", None):
+        model.unlink(missing_ok=True)
+        if content is not None:
+            model.write_bytes(content)
+        digests.append(summary_of(Tally(), config).model_sha256)
+    assert digests == [hashlib.sha256(b"one").hexdigest(), hashlib.sha256(b"another").hexdigest(), None]
+    assert summary_of(Tally()).model_sha256 == SHA256
+    assert summary_of(Tally(), config.changed("classifier", model=None)).model_sha256 is None
 
 
 def test_ranges_and_tracks_are_counted() -> None:

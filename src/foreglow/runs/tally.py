@@ -13,7 +13,9 @@ import numpy as np
 
 from foreglow.calibration import calibration_values
 from foreglow.config import PipelineConfig
+from foreglow.files import file_digest
 from foreglow.geometry import Camera
+from foreglow.models import model_path
 from foreglow.outputs import running_command
 from foreglow.provenance import checkout_state, processor_name
 from foreglow.runs.origin import full_name, origin_digest
@@ -166,6 +168,7 @@ class Tally:
             is_complete=is_complete and source_lack is None,
             is_interrupted=is_interrupted,
             is_classified=is_classified,
+            model_sha256=_model_digest(config.classifier.model),
             num_frames=self.num_frames,
             num_proposals=self._num_proposals,
             num_scored=self._num_proposals if is_classified else None,
@@ -207,6 +210,14 @@ class Tally:
             mean_gap_deg=round(math.degrees(self._sum_gaps_rad / self._num_gaps), 3) if self._num_gaps else None,
             faults=dict(self._faults.most_common()),
         )
+
+
+def _model_digest(model: Path | None) -> str | None:
+    """SHA-256 of a model's file; None without one, or if it cannot be read any more."""
+    try:
+        return None if model is None else file_digest(model_path(model))
+    except (OSError, ValueError):
+        return None
 
 
 def run_time(values_ms: Sequence[float]) -> RunTime:
