@@ -193,7 +193,8 @@ def _is_of_mot(path: Path) -> bool:
 
 def _is_state(path: Path) -> bool:
     state = json.loads(_whole(path))
-    return isinstance(state, dict) and all(_has(known, "seconds") for known in state.values())
+    begun_or_done = state.values() if isinstance(state, dict) else [None]
+    return all(_has(known, "key") or _has(known, "seconds") for known in begun_or_done)
 
 
 _CONTENTS: Mapping[str, Callable[[Path], bool]] = {

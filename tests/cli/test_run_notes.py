@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -11,12 +12,14 @@ import numpy as np
 import pytest
 
 from foreglow.config import config_to_toml, preset
-from foreglow.datasets import shipped_drive
+from foreglow.datasets import Video, shipped_drive
 from foreglow.datasets.vehicle_logs import write_can_log
 from foreglow.models import model_path
+from foreglow.runs.recorded_run import read_run
 from foreglow.runs.summary_file import read_summary
 from foreglow.types import EgoMotion
 from tests.cli.commands import foreglow_command
+from tests.datasets.video.test_damage import GOP, packets_of, write_h264
 from tests.datasets.video.test_video_file import make_video
 from tests.stand_ins import night_image
 
@@ -49,6 +52,29 @@ def test_a_run_on_other_boxes_than_those_of_its_model_says_so(tmp_path: Path, fo
     assert "the model has seen other boxes than those of this configuration" in live.stdout
     (tmp_path / "config.toml").write_text("broken")  # the run is done: what cannot be read says nothing
     assert foreglow_command("run", folder, "--config", own, "--out", out).exit_code == 0
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_frames_that_are_kept_although_damaged_are_counted_and_marked(tmp_path: Path, jobs: int) -> None:
+    """Nothing told boxes of broken pictures from others."""
+    film, out = tmp_path / "night.mp4", tmp_path / "out"
+    write_h264(film, "yuv420p", "slices=1")
+    position, size = packets_of(film)[GOP + 3]
+    data = bytearray(film.read_bytes())
+    data[position + size // 2 : position + size * 3 // 4] = bytes(size * 3 // 4 - size // 2)
+    film.write_bytes(bytes(data))
+    done = foreglow_command("run", film, "--on-error", "mark", "--jobs", jobs, "--out", out)
+    assert done.exit_code == 0, done.output
+    num_damaged = sum(frame.is_damaged for frame in Video(film, on_error="mark"))
+    assert num_damaged > 1
+    assert read_summary(out / "summary.json").num_damaged == num_damaged
+    lines = [json.loads(line) for line in (out / "frames.jsonl").read_text().splitlines()]
+    assert [line["is_damaged"] for line in lines if "is_damaged" in line] == [True] * num_damaged
+    assert f"{num_damaged} frames are damaged, marked by is_damaged in their lines" in done.stdout
+    assert read_run(out).sequences.keys() == {""}
+    assert foreglow_command("report", out).exit_code == 0
+    page = (out / "report.html").read_text()
+    assert re.search(rf"damaged frames, marked</t[hd]>\s*<td[^>]*>{num_damaged}<", page)
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,9 @@ def run_lines(summary: RunSummary, out: Path) -> list[str]:
     if summary.beam is not None:
         lines += beam_lines(summary.beam, summary.num_frames)
     lines += left_out_lines(summary.skipped, summary.num_lost_parts, "listed in summary.json" if out.is_dir() else "")
+    if summary.num_damaged:
+        are = "is" if summary.num_damaged == 1 else "are"
+        lines.append(f"{counted(summary.num_damaged, 'frame')} {are} damaged, marked by is_damaged in their lines")
     if summary.source_lack is not None:
         lines.append(summary.source_lack)
     if summary.is_interrupted:

@@ -92,6 +92,7 @@ class FrameLine(TypedDict):
         frame: Number of the frame, as in `Frame.frame`.
         sequence: Name of its sequence; empty where there is none.
         timestamp_ns: Time of exposure in nanoseconds.
+        is_damaged: True where the source knows that the image is damaged (`Frame.is_damaged`); left out elsewhere.
         proposals_xyxy_px: All boxes that were proposed.
         scores: Their scores, each the exact value of the float32 that was compared with the threshold.
         direct: Probability that each box holds a lamp itself, if it holds light of a vehicle; None where it is unknown.
@@ -108,6 +109,7 @@ class FrameLine(TypedDict):
     frame: Whole
     sequence: NotRequired[str]
     timestamp_ns: NotRequired[Whole]
+    is_damaged: NotRequired[bool]
     proposals_xyxy_px: list[Box]
     scores: NotRequired[list[float] | None]
     direct: NotRequired[list[float | None] | None]

@@ -69,6 +69,8 @@ def frame_to_line(frame: Frame, result: FrameResult) -> FrameLine:
         "tracks": None if tracks is None else _track_entries(tracks),
         "beam": None if result.beam is None else beam_entry(result.beam),
     }
+    if frame.is_damaged:
+        line["is_damaged"] = True
     if detections is not None and tells_rear(detections.light_kinds):
         line["light_kinds"] = _rows_without_nan(detections.light_kinds)
     if tracks is not None and tracks.vehicles is not None:

@@ -76,6 +76,7 @@ class RunSummary(_Strict):
         num_with_camera: Frames with a calibration; None in folders of earlier versions, like the next two.
         num_with_motion: Frames with the motion of the car.
         num_with_road: Frames with the road ahead.
+        num_damaged: Frames of which the source knows that they are damaged: their lines say `is_damaged`.
         calibration: Of the first frame that had one, as its file has it: the ranges were made with it. None if none
             had, and in folders of earlier versions.
         beam_calibration: That of the beam, if the ranges of the run that it takes were made with another one or none.
@@ -114,6 +115,7 @@ class RunSummary(_Strict):
     num_with_camera: Count | None = None
     num_with_motion: Count | None = None
     num_with_road: Count | None = None
+    num_damaged: Count | None = None
     calibration: Mapping[str, Mapping[str, Any]] | None = None
     beam_calibration: Mapping[str, Mapping[str, Any]] | None = None
     beam: BeamSummary | None

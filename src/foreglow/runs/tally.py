@@ -74,6 +74,7 @@ class Tally:
         self._camera: Camera | None = None
         self._num_with_motion = 0
         self._num_with_road = 0
+        self._num_damaged = 0
         self._num_tracks: int | None = None
         self._sequence = ""
         self._counted: set[int] = set()
@@ -91,6 +92,7 @@ class Tally:
         self._camera = self._camera or frame.camera
         self._num_with_motion += frame.motion is not None
         self._num_with_road += frame.road is not None
+        self._num_damaged += frame.is_damaged
         self._num_proposals += len(result.proposals)
         if result.detections is not None:
             self._num_accepted += int(result.detections.is_accepted.sum())
@@ -112,7 +114,7 @@ class Tally:
     def extend(self, later: Tally) -> None:
         """Adds the counts of `later`, of other sequences, as if its frames had been added after the ones so far."""
         counts = ("num_frames", "_num_proposals", "_num_accepted", "_num_ranged", "_num_gaps", "_sum_gaps_rad")
-        for name in (*counts, "_num_with_camera", "_num_with_motion", "_num_with_road"):
+        for name in (*counts, "_num_with_camera", "_num_with_motion", "_num_with_road", "_num_damaged"):
             setattr(self, name, getattr(self, name) + getattr(later, name))
         self._camera = self._camera or later._camera
         if later._num_tracks is not None:
@@ -178,6 +180,7 @@ class Tally:
             num_with_camera=self._num_with_camera,
             num_with_motion=self._num_with_motion,
             num_with_road=self._num_with_road,
+            num_damaged=self._num_damaged,
             calibration=None if self._camera is None else calibration_values(self._camera),
             beam=self._beam_summary() if self._modes else None,
             num_skipped=len(skipped),

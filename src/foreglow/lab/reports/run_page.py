@@ -124,6 +124,8 @@ def _facts(run: RecordedRun) -> Table:
     ]
     if summary.source_lack is not None:
         rows.append(["what the source lacks", summary.source_lack])
+    if summary.num_damaged:
+        rows.append(["damaged frames, marked", summary.num_damaged])
     if summary.num_lost_parts:
         rows.append(["lost parts of the source, of any number of frames", summary.num_lost_parts])
     if summary.beam is not None:

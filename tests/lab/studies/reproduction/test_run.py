@@ -25,6 +25,7 @@ from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, Experimen
 from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.lab.studies.reproduction.run import Outcome, run_experiments
+from foreglow.outputs import check_outputs, running
 from foreglow.photometry.headlamps import SHIPPED
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.studies.detector_data import make_model
@@ -85,6 +86,28 @@ def test_what_is_finished_is_not_run_again(data: Path, tmp_path: Path, monkeypat
     monkeypatch.setattr("importlib.metadata.version", lambda _: "another one")
     run_experiments(dataclasses.replace(plan, trials=7), tmp_path / "out", progress=quiet)
     assert len(calls) == len(EXPERIMENTS)
+
+
+@pytest.mark.parametrize("interrupted", ["settings", "tune", "detector", "glare"])
+def test_the_same_command_goes_on_after_an_interruption(
+    interrupted: str, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What had begun had no `seconds` yet, so that the folder counted as something else's."""
+    calls: list[str] = []
+    made = dict(stubs(calls))
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "EXPERIMENTS", made | {interrupted: dataclasses.replace(made[interrupted], run=stopped)})
+    words = ("reproduce", data, "--out", tmp_path / "out", "--epochs", 1)
+    assert foreglow_command(*words).exit_code == 130
+    begun = [*calls]
+    monkeypatch.setattr(run, "EXPERIMENTS", made)
+    with running("reproduce"):
+        check_outputs({}, {}, {"--out": tmp_path / "out"})
+    run_experiments(ReproductionPlan(data, epochs=1), tmp_path / "out", progress=quiet)
+    assert set(calls[len(begun) :]) == EXPERIMENTS.keys() - set(begun)
 
 
 def test_another_network_of_the_paper(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
