@@ -242,6 +242,9 @@ def test_time_goes_on() -> None:
         receiver.receive(arrival(9) - 1, 0x123, b"")
     with pytest.raises(ValueError, match="expected nanoseconds as a whole number of 64 bits, got nan"):
         receiver.receive(float("nan"), 0x123, b"")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="data: expected bytes, got str"):
+        receiver.receive(arrival(1000), LEVELS_IDS[0], "x")  # type: ignore[arg-type]
+    receiver.receive(arrival(10), 0x123, b"")  # what is refused moves no clock
 
 
 @st.composite

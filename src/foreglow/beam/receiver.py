@@ -82,8 +82,11 @@ class LampReceiver:
         """Takes a frame; frames other than those with levels are ignored.
 
         Raises:
-            ValueError: If the time goes back, or is no whole number of nanoseconds.
+            ValueError: If the time goes back, or is no whole number of nanoseconds, or the data are no bytes; then
+                nothing changes.
         """
+        if not isinstance(data, bytes | bytearray | memoryview):
+            raise ValueError(f"data: expected bytes, got {type(data).__name__}")
         self._advance(arrival_ns)
         if frame_id not in LEVELS_IDS:
             return

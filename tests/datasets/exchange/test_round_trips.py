@@ -302,7 +302,7 @@ def test_no_image_is_no_set(split: Path) -> None:
 def test_predictions_of_label_studio_are_no_labels(split: Path, tmp_path: Path) -> None:
     path = tmp_path / "labels.json"
     write_labels_file(path, labels_of(open_labelled(split)), "label-studio", is_guess=True)
-    with pytest.raises(ValueError, match="expected labelled images, found none"):
+    with pytest.raises(ValueError, match="expected tasks that somebody has annotated, got predictions or cancelled"):
         LabelFile(path, split / "images")
     tasks = json.loads(path.read_text())
     tasks[0] |= {"annotations": [{"result": []}], "data": {"image": "/data/upload/3/0a1b2c3d-000005.png"}}

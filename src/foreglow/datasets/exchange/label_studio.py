@@ -97,6 +97,8 @@ def read_label_studio(path: Path) -> LabelSet:
             images.append(_image(name, taken, origin, lost))
         else:
             lost["image that nobody has annotated"] += 1
+    if not images and lost["image that nobody has annotated"]:
+        raise ValueError(f"{path}: expected tasks that somebody has annotated, got predictions or cancelled ones alone")
     return LabelSet(checked_images(images, path), +lost)
 
 
