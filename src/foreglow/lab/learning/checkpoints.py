@@ -143,9 +143,8 @@ def _check_same(path: Path, began: Mapping[str, Any], wanted: Mapping[str, Any],
     for name in sorted(names):
         before, now = began.get(name), wanted.get(name)
         if before != now:
-            why = "data that were moved, copied or touched count as others, as does other code; " * name.endswith(
-                " data"
-            )
+            about_data = "data that were moved, copied or touched count as others, as does other code; "
+            why = about_data if name.endswith(" data") else ""
             raise ValueError(
                 f"{path}: {name}: expected that of the training begun here, {shortened(before)}, got {shortened(now)}; "
                 f"{why}choose another folder, or remove this one"
