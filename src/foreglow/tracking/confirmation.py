@@ -6,14 +6,15 @@ The rule `evidence` is a sequential test of the hypothesis "light artifact" agai
 log-likelihood ratio E of each track, no unit (natural logarithm), 0 for a new track. In each frame, with the calibrated
 score s of the track's detection, the neutral score s0 that speaks for neither, and the detection probability P_d,
 
-    detected    E <- E + w (clip(logit(s), -7, 7) - logit(s0)),   logit(s) = log(s / (1 - s))                   (1)
-    missed      E <- E + w log(1 - P_d)                                                                         (2)
+    detected    E <- E + n (clip(logit(s), -7, 7) - logit(s0)),   logit(s) = log(s / (1 - s))                   (1)
+    missed      E <- E + n log(1 - P_d)                                                                         (2)
     then        E <- clip(E, 0, 20)                                                                             (3)
 
-w is the share of a frame of 18 Hz that has passed, at most 1: images that follow each other sooner are hardly
-independent. (2) assumes that anything but light would be missed for certain. The floor of (3) lets a light appear where there was
-none before; the ceiling lets a sure track be forgotten again. A track becomes plausible at `confirm` and stays so down
-to `reject`; while another track is plausible, or was so a moment ago, it needs `company` more:
+n is the time since the frame before in frames at the tracker's rate, at most 1: images that follow each other sooner
+are hardly independent. (2) assumes that anything but light would be missed for certain. The floor of (3) lets a light
+appear where there was none before; the ceiling lets a sure track be forgotten again. A track becomes plausible at
+`confirm` and stays so down to `reject`; while another track is plausible, or was so a moment ago, it needs `company`
+more:
 
     E > confirm (+ company), or E > reject for a plausible track                                                (4)
 
