@@ -126,6 +126,21 @@ def test_ends_with_one_line_while_it_is_loaded(number: signal.Signals, tmp_path:
     assert not list(tmp_path.rglob("*"))
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_second_signal_while_the_first_ends_the_loading(number: signal.Signals, tmp_path: Path) -> None:
+    """It killed the process: its handler had been taken away before."""
+    again = """
+def put(number, handler, put=signal.signal):
+    put(number, handler)
+    if handler is signal.SIG_DFL:
+        os.kill(os.getpid(), number)
+
+signal.signal = put
+"""
+    code, said = ended(LOADING + again, number, "beam", shipped_drive(), "--out", tmp_path / "out")
+    assert (code, said.splitlines()[:1]) == (130, ["foreglow: interrupted"])
+
+
 def test_ends_with_one_line_before_its_loop_and_leaves_nothing(tmp_path: Path) -> None:
     arguments = ("beam", shipped_drive(), "--can", "log", "--out", tmp_path / "NUMBER")
     found = endings(BEFORE_THE_LOOP, "foreglow.tracking, foreglow.runtime, scipy.interpolate", *arguments)

@@ -6,14 +6,18 @@ imported when it runs, so that the help is there at once.
 
 import sys
 
-from foreglow.cli.signals import (
-    INTERRUPTED,
-    check_environment,
-    end_at_once,
-    end_despite_hanging,
-    fill_standard_streams,
-    interruptible,
-)
+try:
+    from foreglow.cli.signals import (
+        INTERRUPTED,
+        check_environment,
+        end_at_once,
+        end_despite_hanging,
+        fill_standard_streams,
+        interruptible,
+    )
+except KeyboardInterrupt:
+    sys.stderr.write("foreglow: interrupted\n")
+    sys.exit(130)
 
 with interruptible():
     fill_standard_streams()

@@ -45,6 +45,7 @@ def interruptible() -> Iterator[None]:
             with handler.remembered():
                 yield
         except KeyboardInterrupt:
+            end_at_once()  # before the handler is taken away: a second signal would kill the process
             with contextlib.suppress(OSError):  # a terminal that is gone
                 sys.stderr.write("foreglow: interrupted\n")
             sys.exit(INTERRUPTED)
