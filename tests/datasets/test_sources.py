@@ -64,6 +64,21 @@ def test_images_that_are_missing_by_their_numbers_take_their_time(tmp_path: Path
     ]
 
 
+@pytest.mark.parametrize("other", ["0003.jpg", "0003 (1).png", "frame_0003.png", "00003.png"])
+def test_two_images_with_one_number_are_told(tmp_path: Path, other: str) -> None:
+    """A copy made the missing image 6 unknown, and a drive that is there twice ran at half its speed."""
+    for number in (0, 1, 2, 3, 4, 5, 7):
+        cv2.imwrite(str(tmp_path / f"{number:04}.png"), _image(number))
+    cv2.imwrite(str(tmp_path / other), _image(3))
+    source = ImageFolder(tmp_path)
+    assert [frame.frame for frame in source] == list(range(8))
+    line = source.notes[-1]
+    assert line.startswith(f"{tmp_path}: images have the same number as others, first ")
+    assert "0003.png" in line
+    assert other in line
+    assert line.endswith("counted from 0 in the order of their names, with none missing; remove copies")
+
+
 @pytest.mark.parametrize("numbers", [(0, 2, 4, 6), (3, 57, 120, 121), (0, 1, 2, 3, 10), (1, 3, 5, 6, 8)])
 def test_of_images_that_were_chosen_none_are_missing(tmp_path: Path, numbers: tuple[int, ...]) -> None:
     for number in numbers:

@@ -211,13 +211,17 @@ class ImageFolder(FileSource):
     @property
     def notes(self) -> list[str]:
         """Lines for people, if need be: what is assumed of the times of several images, that their Exif data say
-        something else, which are missing by their numbers, and folders below with images.
+        something else, which are missing by their numbers or have the same one, and folders below with images.
         """
         rate = (
             f"{self.path}: images have no times: taken for {self.rate_hz:g} frames a second; speeds, leads and delays"
         )
         lines = [f"{rate} follow from it (`ffmpeg -framerate RATE` makes a video of them, which has times)"]
-        lines = lines * (len(self) > 1) + [self._taken(), _missing(self.path, self._numbers, self._steps)]
+        lines = lines * (len(self) > 1) + [
+            self._taken(),
+            _missing(self.path, self._numbers, self._steps),
+            _sharing(self.path, [path.name for path in self._files]),
+        ]
         if self.path.is_dir():
             below = _folders_below(self.path)
             lines += [f"{self.path}: images in folders below it are not read: {below}; run each by itself"] * bool(
@@ -277,6 +281,22 @@ def _missing(path: Path, numbers: Sequence[int], steps: Sequence[int]) -> str:
     return (
         f"{path}: {num_missing} {are} missing by the numbers of the others, first between {numbers[first - 1]} and "
         f"{numbers[first]}; times go on as if they were there"
+    )
+
+
+def _sharing(path: Path, names: Sequence[str]) -> str:
+    """A line if most images are called by numbers, and some share theirs, as copies and other formats do."""
+    by_number: dict[int, list[str]] = {}
+    for name in names:
+        number = number_in(re.sub(r"\s*\([0-9]+\)(?=\.[^.]*$)", "", name))  # of a copy: `000003 (1).png`
+        if number is not None:
+            by_number.setdefault(number, []).append(name)
+    shared = [found for found in by_number.values() if len(found) > 1]
+    if not shared or sum(map(len, by_number.values())) <= 0.5 * len(names):
+        return ""
+    return (
+        f"{path}: images have the same number as others, first {shortened(', '.join(shared[0]))}: each counts as a "
+        "frame of its own, and all are counted from 0 in the order of their names, with none missing; remove copies"
     )
 
 
