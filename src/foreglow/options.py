@@ -271,7 +271,10 @@ class CaptureOptions:
     """Live camera."""
 
     size: Annotated[str | None, option("WxH", "Image size to request from the camera.")] = None
-    rate: Annotated[float | None, option("HZ", "Frame rate to request from a camera, and to expect of it or of a stream.", min=0.5, max=1000.0)] = None
+    rate: Annotated[
+        float | None,
+        option("HZ", "Frame rate to request from a camera, and to expect of it or of a stream.", min=0.5, max=1000.0),
+    ] = None
 
     @property
     def size_px(self) -> tuple[int, int] | None:
