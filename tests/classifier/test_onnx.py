@@ -26,6 +26,13 @@ IMAGE = np.random.default_rng(0).integers(0, 256, (120, 160)).astype(np.uint8)
 SIZE_PX = 16
 
 
+def test_weights_of_pytorch_are_told_from_other_files(tmp_path: Path) -> None:
+    path = tmp_path / "weights.pt"
+    path.write_bytes(b"PK\3\4weights")
+    with pytest.raises(ValueError, match=r"weights\.pt: expected an ONNX model .*; `foreglow import-weights` converts"):
+        OnnxClassifier(ClassifierConfig(model=path))
+
+
 def test_a_model_whose_names_are_no_text(tmp_path: Path) -> None:
     path = write_model(tmp_path / "model.onnx")
     data = path.read_bytes()

@@ -55,7 +55,8 @@ def open_session(path: Path, num_threads: int, device: Device = "cpu") -> Infere
     try:
         check_operations(content)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        hint = "; `foreglow import-weights` converts PyTorch's" if path.suffix in (".pt", ".pth") else ""
+        raise ValueError(f"{path}: {error}{hint}") from error
     # Newer versions store a device id in the home folder and send telemetry; the variable is read during the import.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime as ort

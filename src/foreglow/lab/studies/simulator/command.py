@@ -12,7 +12,7 @@ from foreglow.options import ReportOption
 
 
 def command(
-    data: Annotated[Path, argument("DATA", "A simulated split, or a folder that holds one.")],
+    data: Annotated[Path, argument("DATA", "A simulated split, such as DATA/day/test.")],
     out: ReportOption,
     real_labels: Annotated[
         Path | None, file("Real labels to compare with: PVDN/night/val, or a JSON digest of its labels.")
