@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,6 +36,52 @@ def test_another_version_does_not_continue_a_study(data: Path, tmp_path: Path, m
     assert len(again.trials) == 2
 
 
+def test_a_search_whose_first_trial_was_killed_begins_with_the_papers_parameters_even_so(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It went on with other trials than an uninterrupted one."""
+    whole = tune(data, tmp_path / "a", settings(4))
+
+    measure = Bench.measure
+    for _ in range(2):
+        calls = iter(range(100))
+
+        def stopped(self: Bench, config: Any, calls: Iterator[int] = calls) -> Any:
+            if next(calls) == 1:  # the first is the reference
+                raise KeyboardInterrupt
+            return measure(self, config)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Bench, "measure", stopped)
+            with pytest.raises(KeyboardInterrupt):
+                tune(data, tmp_path / "b", settings(4))
+    again = tune(data, tmp_path / "b", settings(4))
+    drawn = [[(each.state, each.loss, dict(each.parameters)) for each in found.trials] for found in (whole, again)]
+    assert drawn[0] == drawn[1]
+
+
+def test_the_lock_of_a_killed_search_with_a_relative_path_is_broken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was a link to nowhere, for which the next search waited for ever."""
+    monkeypatch.chdir(tmp_path)
+    journal = Path("out/study.journal")
+    journal.parent.mkdir()
+    locks: list[str] = []
+    link = os.symlink
+
+    def noted(target: str, place: str) -> None:
+        locks.append(target)
+        link(target, place)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "symlink", noted)
+        open_study(StudyPlan(str(journal), "name", settings(1)))
+    assert set(locks) == {str(journal.absolute())}
+    journal.with_name("study.journal.lock").symlink_to(journal)  # as an earlier version left it
+    assert open_study(StudyPlan(str(journal), "name", settings(1))).get_trials() == []
+
+
 @pytest.fixture
 def zones(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
     """With which a time zone can be set that ends with the test."""
@@ -55,7 +103,7 @@ def test_a_trial_of_a_machine_in_another_time_zone_lives_as_long(
     time.tzset()
     study = open_study(plan)
     prepare(study, plan)
-    assert [trial.state.name for trial in study.trials] == [state]
+    assert study.trials[0].state.name == state
 
 
 def test_a_process_goes_on_whose_trial_another_machine_has_given_up(

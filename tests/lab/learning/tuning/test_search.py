@@ -25,7 +25,7 @@ from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.learning.tuning import SPACES, TrialRecord, Tuning, TuningSettings, tune
 from foreglow.lab.learning.tuning.measurement import Bench, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER
-from foreglow.lab.learning.tuning.study import StudyPlan, num_finished, open_study
+from foreglow.lab.learning.tuning.study import LEFT_LOCK_S, StudyPlan, num_finished, open_study
 from foreglow.parallel import Local
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.learning.night_set import NUM_IMAGES, NUM_SEQUENCES, make_night_set
@@ -214,7 +214,7 @@ def test_a_lock_that_a_killed_process_left_is_broken_without_a_word(
     monkeypatch.setattr(optuna.logging.get_logger("optuna"), "propagate", True)  # to caplog
     study = open_study(StudyPlan(str(journal), "name", TuningSettings()))
     assert study.get_trials() == []
-    assert next(clock) > 30  # it has waited
+    assert next(clock) > LEFT_LOCK_S  # it has waited
     assert caplog.messages == []
 
 

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 NUM_STARTUP_TRIALS = 10
 """Number of random trials before the sampler and the pruner start to use them; Optuna's default."""
 
+LEFT_LOCK_S = 5
+"""A journal whose lock has been held for so long, without a new line, is taken from a killed process: it is held for
+milliseconds."""
+
 STALE_S = 600.0
 """A running trial of another machine that began this long ago counts as dead; a trial takes seconds."""
 
@@ -237,10 +241,13 @@ def _storage(storage: str) -> BaseStorage | str:
     from optuna.storages import JournalStorage
     from optuna.storages.journal import JournalFileBackend, JournalFileSymlinkLock
 
-    path = Path(storage)
+    path = Path(storage).absolute()  # the lock is a link to it: a relative one would point nowhere, and never be let go
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = JournalFileSymlinkLock(storage)
-    backend = JournalFileBackend(storage, lock)
+    lock = JournalFileSymlinkLock(str(path), grace_period=LEFT_LOCK_S)
+    left = path.with_name(f"{path.name}.lock")
+    if left.is_symlink() and not left.readlink().is_absolute():  # of an earlier version, whose process was killed
+        left.unlink(missing_ok=True)
+    backend = JournalFileBackend(str(path), lock)
     lock.acquire()
     try:  # a line that a killed process left unfinished: what follows would become part of it
         data = path.read_bytes()
@@ -300,9 +307,11 @@ def prepare(study: optuna.Study, plan: StudyPlan) -> None:
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         if not _is_alive(trial):
             study.tell(trial.number, state=TrialState.FAIL)
-    if not study.get_trials(deepcopy=False):
+    trials = study.get_trials(deepcopy=False)
+    if not trials:
         study.set_user_attr(_SEED, seed)
-        study.enqueue_trial(dict(plan.settings.searched.first))
+    if not any("fixed_params" in trial.system_attrs for trial in trials if trial.state != TrialState.FAIL):
+        study.enqueue_trial(dict(plan.settings.searched.first))  # also if its process was killed
 
 
 def _is_measured(trial: FrozenTrial, searched: Space) -> bool:
