@@ -10,12 +10,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.beam.sightlines import CLOSEST_M, Sightlines
-from foreglow.geometry import Camera, Pose, rotation
+from foreglow.geometry import Camera, Floats, Pose, rotation
 from tests.beam.made_up import CAMERA, guard_config
 
 LAMPS_M = np.array([[3.6, 0.6, 0.7], [3.6, -0.6, 0.7]])
 MOUNT = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.02, -0.01, 0.015))
 TURNED = Camera(640, 481, (600.0, 610.0), (310.0, 260.0), (-0.09, 0.02, 2e-4, 1e-4, 0.0), MOUNT)
+
+
+def check_within(spans: Floats, box: list[float], range_m: float, camera: Camera) -> None:
+    """Whether all that is seen in the box, at this range, lies within the spans of both lamps, shape (2, 4)."""
+    pose = camera.vehicle_from_camera
+    pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (300, 2))
+    points_m = pose.position_m + camera.rays(pixels) @ pose.rotation.T * range_m
+    for lamp_m, span in zip(LAMPS_M, spans, strict=True):
+        x, y, z = (points_m - lamp_m).T
+        azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+        assert azimuths.min() > span[0] - 2e-3
+        assert azimuths.max() < span[1] + 2e-3
+        assert elevations.min() > span[2] - 2e-3
+        assert elevations.max() < span[3] + 2e-3
 
 
 @pytest.mark.parametrize("camera", [CAMERA, TURNED])
@@ -46,15 +60,7 @@ def test_what_lies_beyond_the_image_is_inside_too(box: list[float], roll_rad: fl
     pose = Pose(np.array([1.8, 0.02, 1.35]), rotation(0.0, pitch_rad, roll_rad))
     camera = Camera(1280, 960, (1100.0, 1100.0), (640.0, 480.0), (0.0,) * 5, pose)
     (spans,), _ = lines.spans_rad(camera, np.array([box], float), np.array([60.0]), np.array([1e-6]))
-    pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (300, 2))
-    points_m = pose.position_m + camera.rays(pixels) @ pose.rotation.T * 60.0
-    for lamp_m, span in zip(LAMPS_M, spans, strict=True):
-        x, y, z = (points_m - lamp_m).T
-        azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
-        assert azimuths.min() > span[0] - 2e-3
-        assert azimuths.max() < span[1] + 2e-3
-        assert elevations.min() > span[2] - 2e-3
-        assert elevations.max() < span[3] + 2e-3
+    check_within(spans, box, 60.0, camera)
 
 
 @pytest.mark.parametrize(
@@ -71,15 +77,7 @@ def test_near_the_lamps_what_lies_beyond_the_image_is_further_aside(
     (spans,), _ = Sightlines(LAMPS_M, guard_config()).spans_rad(
         camera, np.array([box], float), np.array([range_m]), np.array([1e-6])
     )
-    pixels = np.random.default_rng(0).uniform(box[:2], box[2:], (300, 2))
-    points_m = pose.position_m + camera.rays(pixels) @ pose.rotation.T * range_m
-    for lamp_m, span in zip(LAMPS_M, spans, strict=True):
-        x, y, z = (points_m - lamp_m).T
-        azimuths, elevations = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
-        assert azimuths.min() > span[0] - 2e-3
-        assert azimuths.max() < span[1] + 2e-3
-        assert elevations.min() > span[2] - 2e-3
-        assert elevations.max() < span[3] + 2e-3
+    check_within(spans, box, range_m, camera)
 
 
 @pytest.mark.parametrize("x", [205.0, 315.0, 330.0, 435.0])

@@ -179,7 +179,10 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
     like = "unknown, like no profile of the simulator" if profile is None else f"like {profile} of the simulator"
     model = configuration.classifier.model
     is_ours = model is not None and any(each.classifier.model == model for each in PRESETS.values())
-    seen = [*(["simulated drives only"] if is_ours else []), *(["other boxes"] if sees_others(configuration) else [])]
+    seen = [
+        *(["simulated drives only"] if is_ours else []),
+        *(["other boxes"] if sees_other_boxes(configuration) else []),
+    ]
     if not seen:
         return f"camera: {like}"
     return f"camera: {like}; the model has seen {', and '.join(seen)}, so look at the result before you trust it"
@@ -188,10 +191,10 @@ def expectation(profile: str | None, configuration: PipelineConfig) -> str:
 def boxes_notes(configuration: PipelineConfig) -> list[str]:
     """A line if the model has seen other boxes than those of the configuration."""
     line = "the model has seen other boxes than those of this configuration, so look at the result before you trust it"
-    return [line] if sees_others(configuration) else []
+    return [line] if sees_other_boxes(configuration) else []
 
 
-def sees_others(configuration: PipelineConfig) -> bool:
+def sees_other_boxes(configuration: PipelineConfig) -> bool:
     """Whether the model gets other boxes than it has learnt from, as far as that is known."""
     from foreglow.classifier.learnt import have_same_boxes
     from foreglow.options import known_proposals

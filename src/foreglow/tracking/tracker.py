@@ -67,7 +67,7 @@ class AlphaBetaTracker(Tracker):
 
     def reset(self) -> None:
         """Forgets all tracks, as at the start of a sequence; ids begin again."""
-        self._now_s = 0.0
+        self._now_s, self._num_frames = 0.0, 1.0
         self._company = Company()
         self._timestamp_ns: int | None = None
         self._size_px: tuple[int, int] | None = None
