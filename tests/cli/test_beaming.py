@@ -113,7 +113,6 @@ def test_limit_of_an_earlier_run(tmp_path: Path, run: Path) -> None:
     assert len(lines(tmp_path / "out")) == 3
 
 
-@pytest.mark.slow
 def as_interrupted(run: Path, copy: Path) -> Path:
     """A copy of a run, as if Ctrl-C had ended it."""
     shutil.copytree(run, copy)
@@ -131,6 +130,25 @@ def test_what_an_interrupted_run_lacks_its_beam_lacks_too(tmp_path: Path, run: P
     said = beam(run, "--out", tmp_path / "whole", "--limit", 3)
     assert "incomplete" not in said
     assert json.loads((tmp_path / "whole/summary.json").read_text())["is_complete"] is True
+
+
+@pytest.mark.slow
+def test_frames_that_an_interrupted_run_of_several_jobs_left_out_are_left_out(tmp_path: Path, run: Path) -> None:
+    cut, left_out = as_interrupted(run, tmp_path / "cut"), 2
+    kept = [line for line in lines(run) if line != lines(run)[left_out]]
+    (cut / "frames.jsonl").write_text("".join(json.dumps(line) + "\n" for line in kept))
+    summary = json.loads((cut / "summary.json").read_text())
+    del summary["frames_sha256"]
+    threshold = read_config(run / "config.toml").classifier.score_threshold
+    counts = {
+        "num_frames": len(kept),
+        "num_proposals": sum(len(line["proposals_xyxy_px"]) for line in kept),
+        "num_accepted": sum(score >= threshold for line in kept for score in line["scores"]),
+    }
+    (cut / "summary.json").write_text(json.dumps(summary | counts))
+    for number, earlier in enumerate((cut, tmp_path / "out0")):
+        beam(earlier, "--out", tmp_path / f"out{number}")
+        assert [line["frame"] for line in lines(tmp_path / f"out{number}")] == [line["frame"] for line in kept]
 
 
 @pytest.mark.slow

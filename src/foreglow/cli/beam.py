@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,12 +68,14 @@ def beam(
     _check_can(can, headlamps, is_compact=compact)
     stepper: Stepper
     origin: RunSummary | None = None
+    among: Collection[int] | None = None
     if is_run:
         if reading.on_error != "stop":
             raise ValueError(f"--on-error: expected without a run: the frames that {source} has are taken, as they are")
-        stepper, images, num_frames = _replay(source, configuration)
+        stepper, images = _replay(source, configuration)
         origin = read_summary(source / "summary.json")
-        limit = min(num_frames, reading.limit or num_frames)
+        among = None if origin.is_complete else stepper.known
+        limit = min(len(stepper.known), reading.limit or len(stepper.known))
         if None not in (reading.topic, origin.topic) and reading.topic != origin.topic:
             raise ValueError(f"--topic: expected none, or {origin.topic} as in {source}, got {reading.topic}")
         skips = origin.on_error == "skip" or (origin.on_error is None and origin.num_skipped > 0)
@@ -94,7 +97,16 @@ def beam(
             sinks.append(_can_sink(results, can, _ramp_s(configuration), is_compact=compact))
         return sinks
 
-    summary = run_frames(frames, str(images), out, stepper, make_sinks=make_sinks, limit=reading.limit, origin=origin)
+    summary = run_frames(
+        frames,
+        str(images),
+        out,
+        stepper,
+        make_sinks=make_sinks,
+        limit=reading.limit,
+        origin=origin,
+        among=among,
+    )
     finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))
 
 
@@ -147,8 +159,8 @@ def _ramp_s(configuration: PipelineConfig) -> float:
     return min(max(configuration.beam.restore_s, configuration.guard.brightening_s), RAMPS_S[-1])
 
 
-def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int]:
-    """The results of an earlier run, the path of its frames, and their number."""
+def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path]:
+    """The results of an earlier run, and the path of its frames."""
     from foreglow.runs.frames_file import read_results
     from foreglow.runs.recorded_run import check_frames, source_of_run
     from foreglow.runs.summary_file import read_summary
@@ -156,7 +168,7 @@ def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path, int
 
     results = read_results(run / "frames.jsonl", configuration.classifier.score_threshold)
     check_frames(run, read_summary(run / "summary.json"), results.values())
-    return Replay(configuration, results, str(run)), source_of_run(run), len(results)
+    return Replay(configuration, results, str(run)), source_of_run(run)
 
 
 def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> None:

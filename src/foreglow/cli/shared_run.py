@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,14 +49,15 @@ def run_frames(
     make_sinks: Callable[[OutputFolder], Iterable[ResultSink]] = lambda _: (),
     limit: int | None = None,
     origin: RunSummary | None = None,
+    among: Collection[int] | None = None,
 ) -> RunSummary:
-    """Runs the pipeline over `frames`, with a progress bar; `origin` as in `runtime.run`."""
+    """Runs the pipeline over `frames`, with a progress bar; `origin` and `among` as in `runtime.run`."""
     from foreglow.runtime import OutputFolder, run
     from foreglow.whole_files import entered
 
     with entered(lambda: OutputFolder(out)) as folder:
         sinks = itertools.chain([progress_sink(frames, limit)], make_sinks(folder))
-        return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name, origin=origin)
+        return run(frames, pipeline, folder, sinks=sinks, limit=limit, source_name=name, origin=origin, among=among)
 
 
 def run_in_parallel(

@@ -13,7 +13,7 @@ import signal
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Protocol, TypeVar
@@ -132,6 +132,7 @@ def run(
     limit: int | None = None,
     source_name: str = "",
     origin: RunSummary | None = None,
+    among: Collection[int] | None = None,
 ) -> RunSummary:
     """Runs `pipeline` over `source`; writes results, run-times, configuration and summary to `folder`, if any.
 
@@ -147,6 +148,7 @@ def run(
         limit: Stop after this many frames; None runs all of them.
         source_name: Name of the source in the summary; empty takes its path, or else its own name.
         origin: The earlier run whose results `pipeline` takes; what that lacks, this run lacks, too.
+        among: Numbers of the frames to take, where an interrupted run of several jobs did not reach all; None for all.
 
     Raises:
         ValueError: If a frame is unreadable and the source stops at it, its content is unfit, or no frame at all can
@@ -160,7 +162,8 @@ def run(
             all_sinks += folder.line_sinks()
         open_each(sinks, all_sinks)
         with InterruptFlag() as interrupt:
-            step_through(itertools.islice(source, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
+            taken = (frame for frame in source if among is None or frame.frame in among)
+            step_through(itertools.islice(taken, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
             check_readable(name, tally.num_frames, source.skipped)
             if origin is not None and limit is not None and tally.num_frames < limit and not interrupt.is_set:
                 reason = also_left_out(source.skipped, origin.skipped)
@@ -258,6 +261,7 @@ class Replay:
 
     Attributes:
         config: Configuration of the earlier run, but for the beam.
+        known: Numbers of the frames that the earlier run had.
     """
 
     dispatch = None
@@ -276,6 +280,7 @@ class Replay:
             ValueError: If it is broken.
         """
         self.config = config
+        self.known: Collection[int] = results.keys()
         self._beam = BeamStage(config.beam, config.guard, lit_street=config.lit_street)
         self._results = results
         self._origin = origin

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
+import time
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from pathlib import Path
@@ -25,7 +26,7 @@ from foreglow.runtime.ros2.frame_reader import FrameReader
 from foreglow.runtime.ros2.header import Header, read_header
 from foreglow.runtime.ros2.input_messages import road_message, twist_message
 from foreglow.runtime.ros2.join import Join, Joined
-from foreglow.runtime.ros2.source import PAUSE_NS, Due, FramePublisher, Player, repeated, timed
+from foreglow.runtime.ros2.source import PAUSE_NS, Due, FramePublisher, NetworkClock, Player, repeated, timed
 from foreglow.types import EgoMotion, Frame
 from tests.runtime.mcap.drives import CAMERA, ROAD
 from tests.stand_ins import night_frames
@@ -35,9 +36,14 @@ pytestmark = pytest.mark.ros
 NOW_NS = 1_700_000_000_123_456_789
 
 
+def still(now_ns: int = NOW_NS) -> NetworkClock:
+    """A clock that stands still, as the steady one does."""
+    return NetworkClock(lambda: now_ns, lambda: 0)
+
+
 def test_times_of_a_sequence_are_moved_as_one() -> None:
     frames = [*night_frames(4, "A"), *night_frames(3, "B")]
-    due = list(timed(frames, lambda: NOW_NS))
+    due = list(timed(frames, still()))
     assert [one.header.sequence for one in due] == ["A"] * 4 + ["B#1"] * 3
     times_ns = [one.header.timestamp_ns - NOW_NS - PAUSE_NS for one in due]
     assert times_ns[:4] == [0, 50_000_000, 100_000_000, 150_000_000]
@@ -49,13 +55,48 @@ def test_a_clock_that_was_set_is_not_waited_for(jump_s: int) -> None:
     """Frames came hours later, or all at once and too old, until their times were those of before."""
     frames = night_frames(4)
     frames[2:] = [dataclasses.replace(one, timestamp_ns=one.timestamp_ns + jump_s * 10**9) for one in frames[2:]]
-    times_ns = [one.header.timestamp_ns - NOW_NS for one in timed(frames, lambda: NOW_NS)]
+    times_ns = [one.header.timestamp_ns - NOW_NS for one in timed(frames, still())]
     step_ns = 50_000_000
     assert times_ns == [PAUSE_NS, PAUSE_NS + step_ns, 2 * PAUSE_NS + step_ns, 2 * PAUSE_NS + 2 * step_ns]
 
 
+@pytest.mark.parametrize("step_s", [-3600, 3600])
+def test_times_begin_anew_when_the_network_s_clock_was_set(step_s: int) -> None:
+    """Set back, nothing was published until the old time came again; set forward, the rest of the drive at once."""
+    now_ns = NOW_NS
+    due = timed(night_frames(4), NetworkClock(lambda: now_ns, lambda: 0))
+    times_ns = [next(due).header.timestamp_ns - NOW_NS for _ in range(2)]
+    now_ns += step_s * 10**9
+    times_ns += [one.header.timestamp_ns - now_ns for one in due]
+    assert times_ns == [PAUSE_NS, PAUSE_NS + 50_000_000] * 2
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_.*' is deprecated:DeprecationWarning")  # rclpy's own
+@pytest.mark.usefixtures("domain")
+@pytest.mark.parametrize("step_s", [-3600, 3600])
+def test_a_frame_that_waited_while_the_clock_was_set_is_left_out(step_s: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    ahead_ns = 0
+    sent: list[int] = []
+
+    def set_clock() -> bool:
+        """It is asked for whether to stop while a frame waits."""
+        nonlocal ahead_ns
+        ahead_ns = step_s * 10**9 if sent else 0
+        return False
+
+    def publish(messages: list[tuple[str, Any]]) -> None:
+        topic, message = messages[0]
+        sent.append(read_header(message.header, topic).timestamp_ns - player.clock_ns())
+
+    player = Player(set_clock)
+    monkeypatch.setattr(player, "clock_ns", lambda: time.monotonic_ns() + ahead_ns)
+    monkeypatch.setattr(player._publisher, "publish", publish)
+    assert player.play(night_frames(4)) == len(sent) == 3
+    assert all(-PAUSE_NS < age_ns <= 0 for age_ns in sent)
+
+
 def test_quicker_means_nearer() -> None:
-    due = list(timed(night_frames(3), lambda: 0, speed=2.0))
+    due = list(timed(night_frames(3), still(0), speed=2.0))
     assert [one.header.timestamp_ns - PAUSE_NS for one in due] == [0, 25_000_000, 50_000_000]
 
 

@@ -19,7 +19,7 @@ from foreglow.runtime.ros2 import STAGE_NODES, topics
 from foreglow.runtime.ros2.header import Header
 from foreglow.runtime.ros2.node import Receiver, make_ros_node
 from foreglow.runtime.ros2.results import read_beam, read_detections, read_ranges, read_timing, read_tracks
-from foreglow.runtime.ros2.source import Due, FramePublisher, timed
+from foreglow.runtime.ros2.source import Due, FramePublisher, NetworkClock, timed
 from foreglow.runtime.ros2.supervisor import Process
 from foreglow.types import BeamCommand, Detections, Frame, Ranges, Tracks
 
@@ -140,7 +140,7 @@ class Network:
             watch: Called with each frame's index before it is sent.
         """
         answers = []
-        for index, due in enumerate(timed(frames, self.clock_ns, speed=speed)):
+        for index, due in enumerate(timed(frames, NetworkClock(self.clock_ns), speed=speed)):
             watch(index)
             answers.append(self._send(due))
             if is_in_step:

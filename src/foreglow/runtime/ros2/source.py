@@ -35,6 +35,8 @@ PAUSE_NS = 500_000_000
 RETRY_S = 1.0
 """Pause between two attempts to open a camera."""
 
+CLOCK_STEP_NS = 1_000_000_000
+"""A network's clock that gains or loses more on this machine's steady clock, between two frames, was set."""
 
 OF_THE_CAR = frozenset((topics.TWIST, topics.ATTITUDE, topics.ROAD))
 """What a camera knows nothing of. That it is unknown would count in place of what the car's own nodes tell."""
@@ -81,25 +83,46 @@ class FramePublisher:
             self._publishers[topic].publish(message)
 
 
-def timed(frames: Iterable[Frame], clock_ns: Callable[[], int], *, speed: float = 1.0) -> Iterator[Due]:
+class NetworkClock:
+    """The network's clock, and whether it was set."""
+
+    def __init__(self, now_ns: Callable[[], int], steady_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        """Begins to compare the clock with a steady one."""
+        self.now_ns = now_ns
+        self.steady_ns = steady_ns
+        self.accept()
+
+    def was_set(self) -> bool:
+        """Whether it was set since the last `accept`."""
+        return abs(self.now_ns() - self.steady_ns() - self._ahead_ns) > CLOCK_STEP_NS
+
+    def accept(self) -> None:
+        """Goes on from the time that it has now."""
+        self._ahead_ns = self.now_ns() - self.steady_ns()
+
+
+def timed(frames: Iterable[Frame], clock: NetworkClock, *, speed: float = 1.0) -> Iterator[Due]:
     """Each frame with a new timestamp, as if it were taken now.
 
     All timestamps of a sequence are shifted by the same amount, so that the intervals between frames, and with them all
     results, stay the same. A sequence begins `PAUSE_NS` after the previous one, or after it is asked for; so does
-    a frame at which time `has_jumped`, as in `live`.
+    a frame at which time `has_jumped`, as in `live`, and the next frame after the clock was set.
 
     Args:
         frames: The frames, in order of time within each sequence.
-        clock_ns: The network's clock.
+        clock: The network's.
         speed: Replay so many times as fast; other than 1 it also shortens the intervals between timestamps.
     """
-    latest_ns = clock_ns()
+    latest_ns = clock.now_ns()
     for number, (_, sequence) in enumerate(itertools.groupby(frames, key=lambda frame: frame.sequence)):
         zero_ns: tuple[int, int] | None = None  # the same moment by the frames' times, and by the network's
         before_ns = 0
         for frame in sequence:
+            if clock.was_set():
+                clock.accept()
+                zero_ns, latest_ns = None, clock.now_ns()
             if zero_ns is None or has_jumped(frame.timestamp_ns - before_ns):
-                zero_ns = frame.timestamp_ns, max(latest_ns, clock_ns()) + PAUSE_NS
+                zero_ns = frame.timestamp_ns, max(latest_ns, clock.now_ns()) + PAUSE_NS
             (first_ns, begin_ns), before_ns = zero_ns, frame.timestamp_ns
             passed_ns = frame.timestamp_ns - first_ns
             latest_ns = begin_ns + (passed_ns if speed == 1.0 else round(passed_ns / speed))
@@ -149,15 +172,22 @@ class Player:
         time.sleep(PAUSE_NS / 1e9)  # discovered nodes still have to be connected
 
     def play(self, frames: Iterable[Frame], *, speed: float = 1.0) -> int:
-        """Publishes `frames` when they are due, or at once if they are late; returns how many."""
+        """Publishes `frames` when they are due, or at once if they are late; returns how many.
+
+        The frame that waits while the network's clock is set is left out, as its time is of the clock before.
+        """
         num_frames = 0
+        clock = NetworkClock(self.clock_ns)
         try:
-            for due in timed(frames, self.clock_ns, speed=speed):
+            for due in timed(frames, clock, speed=speed):
                 messages = self._publisher.messages(due)
-                while not self._should_stop() and (left_ns := due.header.timestamp_ns - self.clock_ns()) > 0:
+                due_ns = clock.steady_ns() + due.header.timestamp_ns - clock.now_ns()
+                while not self._should_stop() and (left_ns := due_ns - clock.steady_ns()) > 0:
                     time.sleep(min(left_ns / 1e9, 0.05))
                 if self._should_stop():
                     break
+                if clock.was_set():
+                    continue
                 self._publisher.publish(messages)
                 num_frames += 1
         finally:
