@@ -7,7 +7,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -290,11 +289,3 @@ def test_a_section_that_there_is_not() -> None:
     config = preset("foreglow").model_copy(update={"guard": GuardConfig(max_gap_s=0.5)})
     assert config.guard.max_gap_s == 0.5
     assert config.model_copy() == config
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("window_px", np.int64(19)), ("kappa", np.float64(0.25)), ("normalise", np.bool_(False))]
-)
-def test_scalars_of_numpy_count_as_python_s(field: str, value: np.generic) -> None:
-    assert type(getattr(ProposalConfig.model_validate({field: value}), field)) is type(value.item())
-    assert getattr(ProposalConfig.model_validate({field: value}), field) == value

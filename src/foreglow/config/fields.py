@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Self, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 
@@ -30,8 +29,7 @@ ONE_OF = BeforeValidator(_integer)
 class FrozenModel(BaseModel):
     """A frozen set of parameters.
 
-    Unknown fields, NaN, infinity, numbers above `MAX_NUMBER` and values of another type are errors; scalars of NumPy
-    count as Python's.
+    Unknown fields, NaN, infinity, numbers above `MAX_NUMBER` and values of another type are errors.
     """
 
     # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.
@@ -51,12 +49,6 @@ class FrozenModel(BaseModel):
                 raise ValueError(_first_complaint(type(self), error)) from error
             update = {name: getattr(whole, name) for name in update}
         return super().model_copy(update=update, deep=deep)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _plain(cls, value: Any) -> Any:
-        """A scalar of NumPy, as arithmetic leaves them, as Python's own."""
-        return value.item() if isinstance(value, np.generic) else value
 
     @field_validator("*")
     @classmethod
