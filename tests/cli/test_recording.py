@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,13 @@ import pytest
 
 from foreglow.cli.shared_run import open_frames
 from foreglow.config import preset
-from foreglow.datasets import open_source, shipped_drive
+from foreglow.datasets import ImageFolder, Recording, open_source, shipped_drive
 from foreglow.options import SourceOptions, VehicleOptions
 from foreglow.parallel import Local
 from foreglow.runs.recorded_run import open_run, read_frames, read_run
 from foreglow.runs.summary_file import read_summary
 from foreglow.runtime import Opening, OutputFolder, run_apart
+from foreglow.types import Frame
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, num_lines
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
@@ -156,3 +158,44 @@ def test_without_the_packages(tmp_path: Path, folder: Path, monkeypatch: pytest.
     needs = "is not installed; this command needs: pip install 'foreglow[recordings]'"
     assert f"foxglove {needs}" in complaint("record", folder, "--out", tmp_path / "other.mcap")
     assert f"zstandard {needs}" in complaint("run", recording, "--out", tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_recording_cut_while_it_is_played_keeps_the_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, out = tmp_path / "drive.mcap", tmp_path / "out"
+    assert foreglow_command("record", shipped_drive(), "--out", recording, "--limit", 8).exit_code == 0
+    read, num_read = Recording._frame, 0
+
+    def cut(*arguments: Any) -> Frame:
+        nonlocal num_read
+        num_read += 1
+        if num_read == 3:
+            os.truncate(recording, recording.stat().st_size // 2)
+        return read(*arguments)
+
+    monkeypatch.setattr(Recording, "_frame", cut)
+    result = foreglow_command("live", recording, "--speed", 0, "--out", out)
+    assert result.exit_code == 2
+    assert f"{recording}: byte " in result.stderr
+    summary = read_summary(out / "summary.json")
+    assert 3 <= summary.num_frames < 8
+    assert not summary.is_complete
+
+
+@pytest.mark.slow
+def test_what_a_source_raises_unforeseen_keeps_the_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images, out = tmp_path / "images", tmp_path / "out"
+    shutil.copytree(shipped_drive() / "images" / "S00001", images)
+    read, num_read = ImageFolder._frame, 0
+
+    def broken(*arguments: Any) -> Frame:
+        nonlocal num_read
+        num_read += 1
+        if num_read == 4:
+            raise IndexError("out of range")
+        return read(*arguments)
+
+    monkeypatch.setattr(ImageFolder, "_frame", broken)
+    result = foreglow_command("live", images, "--speed", 0, "--out", out)
+    assert "IndexError: out of range" in result.stderr
+    assert read_summary(out / "summary.json").num_frames == 3

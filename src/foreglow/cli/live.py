@@ -227,7 +227,8 @@ def _finish(summary: LiveSummary, out: Path | None, error: LiveEndedError | None
         lines.append("interrupted")
     typer.echo("\n".join([*lines, *([] if out is None else [f"look in {out}"])]))
     if error is not None:
-        raise error
+        cause = error.__cause__
+        raise error if cause is None or isinstance(cause, (ValueError, OSError)) else cause
     if summary.sink_errors:
         raise OSError(f"not recorded: {'; '.join(summary.sink_errors)}")
     if summary.run.is_interrupted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import tracemalloc
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from foreglow.datasets import Recording
 from foreglow.datasets.bags.containers import decompressed
 from foreglow.datasets.bags.recording import DECODERS
+from foreglow.datasets.source import OnError
 from tests.datasets.bags.bags import TOPIC, images, make_bag, make_mcap, raw
 
 IMAGES = images(5)
@@ -80,6 +82,30 @@ def test_a_file_cut_anywhere(whole: Path, share: float) -> None:
     if cut.stat().st_size < len(data):
         with pytest.raises(ValueError, match=r"truncated .*; --on-error skip reads what is there"):
             Recording(cut)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on_error", ["stop", "skip"])
+@pytest.mark.parametrize("kind", MAKERS)
+def test_a_file_cut_while_it_is_read(tmp_path: Path, kind: str, on_error: OnError) -> None:
+    """Another error than a `ValueError` ended a live run without its results."""
+    whole = MAKERS[kind](tmp_path)
+    data = whole.read_bytes()
+    for size in range(0, len(data), max(1, len(data) // 40)):
+        whole.write_bytes(data)
+        source = Recording(whole, on_error=on_error)
+        frames = iter(source)
+        read = [next(frames)]
+        os.truncate(whole, size)
+        complaints = source.skipped
+        try:
+            read += frames
+        except ValueError as error:
+            complaints = [str(error)]
+        if kind != "sqlite":  # SQLite takes what is missing for zeros
+            np.testing.assert_array_equal([frame.image for frame in read], IMAGES[: len(read)])
+        assert complaints, size
+        assert all(line.startswith(f"{whole}: ") for line in complaints)
 
 
 @pytest.mark.slow
@@ -163,8 +189,12 @@ def test_what_lies_beyond_damage_is_read(tmp_path: Path, kind: str) -> None:
     assert len(source.skipped) == 1
 
 
+@pytest.mark.parametrize("piece_bytes", [1, 17, 1 << 24])
 @pytest.mark.parametrize("change", ["inserted", "missing", "length"])
-def test_chunks_behind_missing_and_inserted_bytes_are_read(tmp_path: Path, change: str) -> None:
+def test_chunks_behind_missing_and_inserted_bytes_are_read(
+    tmp_path: Path, change: str, piece_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("foreglow.datasets.bags.mcap_file._PIECE_BYTES", piece_bytes)
     path = _mcap(tmp_path)
     data = bytearray(path.read_bytes())
     positions = [position for position in range(len(data)) if data.startswith(b"\x04\0\0\0zstd", position)]

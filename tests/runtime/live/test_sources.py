@@ -164,6 +164,25 @@ def test_a_source_that_yields_no_frames_ends_with_a_line(thing: Any, drive: list
         run_live(Foreign(ListSource(drive), math.inf), live_config())
 
 
+@pytest.mark.parametrize("num_frames", [0, 3])
+def test_what_a_source_raises_unforeseen_costs_no_results(num_frames: int, drive: list[Frame]) -> None:
+    class Broken(Paced):
+        def __iter__(self) -> Iterator[Frame]:
+            yield from drive[:num_frames]
+            raise IndexError("out of range")
+
+    source = Broken(ListSource(drive), math.inf)
+    if num_frames == 0:
+        with pytest.raises(IndexError, match="out of range"):
+            run_live(source, live_config())
+        return
+    with pytest.raises(LiveEndedError, match="out of range") as ended:
+        run_live(source, live_config())
+    assert isinstance(ended.value.__cause__, IndexError)
+    assert ended.value.summary.run.num_frames == num_frames
+    assert not ended.value.summary.run.is_complete
+
+
 def test_overload_drops_frames_and_stays_in_time(drive: list[Frame]) -> None:
     frames = [dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns) for frame in drive]
     summary, _ = run_live(Paced(ListSource(frames), speed=60.0), live_config())

@@ -6,7 +6,6 @@ Source: mcap.dev/spec, version 0.
 from __future__ import annotations
 
 import contextlib
-import mmap
 import re
 import zlib
 from collections.abc import Collection, Generator, Iterator
@@ -45,6 +44,9 @@ MAX_BREAKS = 100
 
 _CHUNK_HEAD = re.compile(rb"\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd).{4}\0{4}", re.DOTALL)
 """Opcode, length, two times, size, checksum, compression, and length of its records; lengths are below 4 GiB."""
+
+_CHUNK_HEAD_BYTES = 53  # the longest
+_PIECE_BYTES = 1 << 24  # of a file that is searched: never mapped, as another program may cut it meanwhile
 
 
 class McapFile:
@@ -201,6 +203,8 @@ class McapFile:
         position = file.tell()
         while position + _HEAD_BYTES <= self._size:
             head = file.read(_HEAD_BYTES)
+            if len(head) < _HEAD_BYTES:  # the file was cut since it was opened
+                return
             kind, length = head[0], int.from_bytes(head[1:], "little")
             if kind == 0:
                 refuse(f"{self._path}: byte {position}: expected a record of MCAP, got {head[:4].hex()}")
@@ -252,19 +256,29 @@ class _Channels:
 
 def _behind_data(file: BinaryIO, end: int) -> int:
     """Position behind the last record before `end` that looks like the one that ends the data."""
-    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return data.rfind(_DATA_END_HEAD, 0, end) + len(_DATA_END_HEAD) + _DATA_END_BYTES
+    place = end
+    while place > 0:
+        start = max(0, place - _PIECE_BYTES)
+        file.seek(start)
+        found = file.read(min(place + len(_DATA_END_HEAD) - 1, end) - start).rfind(_DATA_END_HEAD)
+        if found >= 0:
+            return start + found + len(_DATA_END_HEAD) + _DATA_END_BYTES
+        place = start
+    return len(_DATA_END_HEAD) + _DATA_END_BYTES - 1
 
 
 def _next_chunk(file: BinaryIO, start: int) -> int | None:
     """Position of the first chunk from `start` on that fits into the file and whose two lengths agree."""
-    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        found = _CHUNK_HEAD.search(data, start)
-        while found is not None:
-            length, inner = (int.from_bytes(found[0][place], "little") for place in (slice(1, 9), slice(-8, None)))
+    size = file.seek(0, 2)
+    for place in range(start, size, _PIECE_BYTES):
+        file.seek(place)
+        data = file.read(_PIECE_BYTES + _CHUNK_HEAD_BYTES - 1)
+        found = _CHUNK_HEAD.search(data)
+        while found is not None and found.start() < _PIECE_BYTES:
+            length, inner = (int.from_bytes(found[0][part], "little") for part in (slice(1, 9), slice(-8, None)))
             head_bytes = found.end() - found.start()
-            if _HEAD_BYTES + length == head_bytes + inner and found.end() + inner <= len(data):
-                return found.start()
+            if _HEAD_BYTES + length == head_bytes + inner and place + found.end() + inner <= size:
+                return place + found.start()
             found = _CHUNK_HEAD.search(data, found.start() + 1)
     return None
 

@@ -58,10 +58,6 @@ def quick_switching() -> Iterator[None]:
                 sys.setswitchinterval(usual_s)
 
 
-READ_ERRORS = (ValueError, OSError)
-"""What a source raises that cannot be read; anything else is a fault of its program."""
-
-
 class LiveEndedError(TimeoutError):
     """The loop could not go on.
 
@@ -152,7 +148,8 @@ class LiveLoop:
 
         Raises:
             LiveEndedError: If `MAX_HUNG` pipelines hang, none can be made for `rebuild_s`, no frame came for
-                `give_up_s`, or a source that is no camera cannot be read any further; it has the summary.
+                `give_up_s`, or a source that is no camera cannot be read any further, whatever it raised (its cause);
+                it has the summary.
             ValueError: If the pipeline commands no beam; if a source has frames, and none of them can be read, or the
                 first one is too small for the configured region.
             Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
@@ -177,7 +174,7 @@ class LiveLoop:
                 is_interrupted = interrupt.is_set
             finally:
                 self._stop(reader, is_interrupted=is_interrupted)
-            if self._error is not None and not (self._tally.num_frames and isinstance(self._error, READ_ERRORS)):
+            if self._error is not None and not self._tally.num_frames:
                 raise self._error
             if not self._mailbox.num_put:
                 check_readable(self._source.name, self._tally.num_frames, self._source.skipped)
