@@ -131,6 +131,18 @@ def test_labels_that_know_no_origin(tmp_path: Path) -> None:
     assert not (tmp_path / "mot").exists()
 
 
+def test_labels_that_state_another_size_than_their_images(tmp_path: Path) -> None:
+    split = make_pvdn(tmp_path / "day")
+    run, sizes = tmp_path / "run", split / "labels" / "image_annotations.json"
+    assert foreglow_command("run", split, "--out", run).exit_code == 0
+    file = json.loads(sizes.read_text())
+    for image in file["images"]:
+        image["width"], image["height"] = 2 * image["width"], 2 * image["height"]
+    sizes.write_text(json.dumps(file))
+    said = complaint("evaluate", split, "--predictions", run / "frames.jsonl")
+    assert said == f"foreglow: {split}: image size: expected 96x72 px as {run} has, got 192x144 px\n"
+
+
 def test_suggestions_of_another_run(tmp_path: Path) -> None:
     """Those of a second run on the same video are of the same frames."""
     videos = {name: make_video(tmp_path / f"{name}.mp4", num_frames=num) for name, num in (("a", 10), ("b", 12))}

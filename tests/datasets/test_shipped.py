@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
+from foreglow.calibration import read_calibration
 from foreglow.datasets import PVDN, open_source, shipped_drive
 from foreglow.datasets.pvdn.schema import Cycle
 from foreglow.datasets.simulated import read_truth
@@ -65,3 +71,28 @@ def test_nothing_in_it_points_to_where_it_was_made() -> None:
     for path in shipped_drive().rglob("*"):
         if path.suffix in (".json", ".jsonl", ".toml", ".md"):
             assert str(Path.home()) not in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("shape", ["half", "other"])
+def test_images_of_another_size_have_the_calibration_scaled(tmp_path: Path, shape: str) -> None:
+    """Whoever halves a data set's images need not know of its calibration."""
+    split = tmp_path / "val"
+    shutil.copytree(shipped_drive(), split)
+    path = split / "simulation" / "S00001" / "camera.toml"
+    labels = split / "labels" / "image_annotations.json"
+    size_px = (640, 480) if shape == "half" else (640, 400)
+    file = json.loads(labels.read_text())
+    for image in file["images"]:
+        image["width"], image["height"] = size_px
+    labels.write_text(json.dumps(file))
+    first = min((split / "images" / "S00001").iterdir())
+    cv2.imwrite(str(first), np.full(size_px[::-1], 20, np.uint8))
+    if shape == "other":
+        words = f"{path}: image: expected the frames' size or its multiple, 640x400 px, got 1280x960 px"
+        with pytest.raises(ValueError, match=re.escape(words)):
+            next(iter(open_source(split)))
+        return
+    camera, whole = next(iter(open_source(split))).camera, read_calibration(path)
+    assert camera is not None
+    assert (camera.width_px, camera.height_px) == size_px
+    assert camera.focal_px[0] == pytest.approx(whole.focal_px[0] / 2)

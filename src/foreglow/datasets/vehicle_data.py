@@ -114,6 +114,22 @@ class Equipped:
                 spans_ns[name] = span_ns
 
 
+def fitting(camera: Camera, width_px: int, height_px: int, origin: object) -> Camera:
+    """The calibration, scaled to frames of another size.
+
+    Raises:
+        ValueError: If the frames' sides have another ratio than the calibration's, which was read from `origin`.
+    """
+    if (camera.width_px, camera.height_px) == (width_px, height_px):
+        return camera
+    if not camera.has_shape_of(width_px, height_px):
+        raise ValueError(
+            f"{origin}: image: expected the frames' size or its multiple, {width_px}x{height_px} px, "
+            f"got {camera.width_px}x{camera.height_px} px"
+        )
+    return camera.scaled(width_px, height_px)
+
+
 def timestamp_ns(source: LabelledSource, image_id: int) -> int:
     """When an image was taken, as its frame has it."""
     return round(source.sequence(image_id).start_time_ms * 1_000_000) + round(source.time_s(image_id) * 1e9)

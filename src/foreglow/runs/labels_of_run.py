@@ -100,11 +100,15 @@ def labels_of_run(run: Path, labelled: Path, dataset: LabelledSource) -> LabelsO
             f"{labelled}: expected labels of the folder that {run} was made from, {source}, got those of "
             f"{folders}, whose images have the same names and sizes; `foreglow labels import` makes labels of each"
         )
+    is_live, sizes_px, theirs_px = summary.live is not None, set(summary.frame_sizes_px), set(_sizes_px(dataset))
+    is_other_size = not is_live and bool(sizes_px) and sizes_px.isdisjoint(theirs_px)
+    if numberings and is_other_size:
+        ours, theirs = (f"{width}x{height} px" for width, height in (min(sizes_px), min(theirs_px)))
+        raise ValueError(f"{labelled}: image size: expected {ours} as {run} has, got {theirs}")
     if numberings:
         return _part(dataset, dict(numberings[0]), labelled, summary)
     is_known = bool(stated or (digests and (is_pvdn(source) or (labelled.is_file() and source.is_dir()))))
-    is_live, sizes_px = summary.live is not None, set(summary.frame_sizes_px)
-    if is_known or (not is_live and sizes_px and sizes_px.isdisjoint(_sizes_px(dataset))):
+    if is_known or is_other_size:
         raise ValueError(
             f"{labelled}: expected the labels of what {run} was made from, {summary.source}, got others"
             f"{_missing(dataset)}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from foreglow.calibration import read_calibration
 from foreglow.datasets.json_files import Record, read_json_lines
 from foreglow.datasets.simulated.files import MAX_FRAMES, SequenceTruth, read_truth
-from foreglow.datasets.vehicle_data import VehicleData
+from foreglow.datasets.vehicle_data import VehicleData, fitting
 from foreglow.geometry import Camera
 from foreglow.street import StreetMessage, road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
@@ -32,18 +32,21 @@ class SimulatedVehicle(VehicleData):
 
     def __init__(self, split: Path) -> None:
         self._root = split / "simulation"
-        self._cameras: dict[str, Camera | None] = {}  # by sequence; dictionaries, as sources are pickled
+        # By sequence, and of a camera by the frames' size; dictionaries, as sources are pickled.
+        self._cameras: dict[tuple[str, tuple[int, int]], Camera | None] = {}
         self._frames: dict[str, dict[int, _CarTruth]] = {}
 
     def camera(self, frame: Frame) -> Camera | None:
-        """The drive's calibration.
+        """The drive's calibration, scaled to the frame's size.
 
         Raises:
-            ValueError: If `camera.toml` is broken.
+            ValueError: If `camera.toml` is broken, or the frame's sides have another ratio than its.
         """
-        if frame.sequence not in self._cameras:
-            self._cameras[frame.sequence] = self._read_camera(frame.sequence)
-        return self._cameras[frame.sequence]
+        path, size_px = self._root / frame.sequence / "camera.toml", (frame.width_px, frame.height_px)
+        if (frame.sequence, size_px) not in self._cameras:
+            known = read_calibration(path) if path.exists() else None
+            self._cameras[frame.sequence, size_px] = None if known is None else fitting(known, *size_px, path)
+        return self._cameras[frame.sequence, size_px]
 
     def motion(self, frame: Frame) -> EgoMotion | None:
         """Speed and yaw rate, as wheels and a gyroscope measure them; the pitch of the body is not known.
@@ -67,10 +70,6 @@ class SimulatedVehicle(VehicleData):
         if frame.sequence not in self._frames:
             self._frames[frame.sequence] = self._read_frames(frame.sequence)
         return self._frames[frame.sequence].get(frame.frame)
-
-    def _read_camera(self, sequence: str) -> Camera | None:
-        path = self._root / sequence / "camera.toml"
-        return read_calibration(path) if path.exists() else None
 
     def _read_frames(self, sequence: str) -> dict[int, _CarTruth]:
         path = self._root / sequence / "frames.jsonl"

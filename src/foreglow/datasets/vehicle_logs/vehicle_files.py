@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from foreglow.calibration import read_calibration
-from foreglow.datasets.vehicle_data import VehicleData
+from foreglow.datasets.vehicle_data import VehicleData, fitting
 from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
 from foreglow.geometry import Camera
 from foreglow.maps import PoseTrack, RoadMap, read_poses, read_road_map
@@ -86,7 +86,8 @@ class VehicleFiles(VehicleData):
         """
         size_px = frame.width_px, frame.height_px
         if size_px not in self._scaled:
-            self._scaled[size_px] = self._camera_of(*size_px)
+            camera = self._camera
+            self._scaled[size_px] = None if camera is None else fitting(camera, *size_px, self._names[0])
         return self._scaled[size_px]
 
     def motion(self, frame: Frame) -> EgoMotion | None:
@@ -119,17 +120,6 @@ class VehicleFiles(VehicleData):
         if self._log is None or self._log.is_empty:
             return None
         return self._log.is_reported(self._log_time_ns(frame, self._log))
-
-    def _camera_of(self, width_px: int, height_px: int) -> Camera | None:
-        camera = self._camera
-        if camera is None or (camera.width_px, camera.height_px) == (width_px, height_px):
-            return camera
-        if not camera.has_shape_of(width_px, height_px):
-            raise ValueError(
-                f"{self._names[0]}: image: expected the frames' size or its multiple, {width_px}x{height_px} px, "
-                f"got {camera.width_px}x{camera.height_px} px"
-            )
-        return camera.scaled(width_px, height_px)
 
     def _road_by_map(self, frame: Frame) -> RoadAhead | None:
         if self._poses is None or self._road_map is None:
