@@ -185,3 +185,14 @@ def test_workers_by_the_options() -> None:
         workers_at(2, "tcp://127.0.0.1:8786")
     with pytest.raises(ValueError, match="jobs: expected at least 1, got 0"):
         workers_at(0, None)
+
+
+@needs_processes
+def test_the_process_that_watches_what_is_left_behind_outlives_a_closed_terminal() -> None:
+    """Where SIGHUP came to all processes, a second one printed a traceback for each thing that the first had known."""
+    from joblib.externals.loky.backend.resource_tracker import _resource_tracker
+
+    assert dict(Local(2).each(tasks.square, {"a": 1, "b": 2}, nobody)) == {"a": 1, "b": 4}
+    status = Path(f"/proc/{_resource_tracker._pid}/status").read_text()
+    blocked = int(next(line.split()[1] for line in status.splitlines() if line.startswith("SigBlk")), 16)
+    assert blocked & 1 << (signal.SIGHUP - 1)

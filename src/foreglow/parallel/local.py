@@ -98,7 +98,11 @@ class _Processes:
         from joblib.externals import loky
 
         self._jobs, self._work = jobs, work
+        from joblib.externals.loky.backend import resource_tracker
+
         self._make_executor = loky.ProcessPoolExecutor
+        with safe_path(), _deaf_to_hangups():  # it ignores Ctrl-C and SIGTERM by itself
+            resource_tracker.ensure_running()
         self._idle: list[_Process] = []
         self._busy: dict[Future[Any], _Process] = {}
         self._last_reports: list[tuple[Any, ...]] = []
@@ -188,6 +192,16 @@ class _Pipe:
                 self.stop.set()
         except (EOFError, OSError):
             os._exit(1)
+
+
+@contextlib.contextmanager
+def _deaf_to_hangups() -> Iterator[None]:
+    """A process that is started while the block lasts never gets SIGHUP, as when a terminal closes; we get it later."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
