@@ -100,8 +100,10 @@ def check_boxes(name: str, model: Path, configuration: PipelineConfig) -> None:
     Raises:
         ValueError: If they are others, on which the scores of the model, given by the option `name`, mean nothing.
     """
+    from foreglow.classifier.learnt import have_same_boxes
+
     known = known_proposals(model)
-    if known is not None and configuration.proposals != known[0]:
+    if known is not None and not have_same_boxes(configuration.proposals, known[0]):
         raise ValueError(
             f"proposals: expected {known[1]} with {name} {model}, which knows the boxes of these proposals only"
         )
@@ -115,21 +117,23 @@ def known_proposals(model: Path) -> tuple[ProposalConfig, str] | None:
     Raises:
         ValueError: If the model, or the file beside it, is broken.
     """
-    from foreglow.classifier.learnt import learnt_proposals
+    from foreglow.classifier.learnt import have_same_boxes, learnt_proposals
     from foreglow.config import PRESETS, read_config
     from foreglow.files import read_toml
 
     if str(model) in PRESETS:
         return PRESETS[str(model)].proposals, f"--preset {model}"
     own = learnt_proposals(model)
-    if own is not None:
-        preset = next((name for name, each in PRESETS.items() if each.proposals == own), None)
-        return own, "a --config of its training's proposals" if preset is None else f"--preset {preset}"
     file = model.with_name("config.toml")  # also beside a model of another name, as a checkpoint that was kept
     fields = read_toml(file).get("proposals") if file.is_file() else None
     if isinstance(fields, dict) and fields.keys() >= PRESETS["paper"].proposals.model_dump().keys():
-        return read_config(file).proposals, f"--config {file}"  # a whole one, as a training writes it
-    return None
+        beside = read_config(file).proposals  # a whole one, as a training writes it
+        if own is None or have_same_boxes(beside, own):
+            return beside, f"--config {file}"
+    if own is None:
+        return None
+    preset = next((name for name, each in PRESETS.items() if have_same_boxes(each.proposals, own)), None)
+    return own, "a --config of its training's proposals" if preset is None else f"--preset {preset}"
 
 
 def _check_own_model(config: Path, model: Path | None) -> None:

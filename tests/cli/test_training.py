@@ -20,6 +20,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+from foreglow.classifier.learnt import have_same_boxes, learnt_proposals
 from foreglow.cli.learning import _kept_lines, _training_lines, _worse_lines
 from foreglow.config import PipelineConfig, preset, read_config
 from foreglow.datasets import PVDN
@@ -32,6 +33,7 @@ from foreglow.lab.learning.training import curves_csv
 from foreglow.lab.learning.training_progress import Epoch, TrainingBar
 from foreglow.lab.learning.training_run import TEXTS, train_model
 from foreglow.lab.reports.training_pictures import draw_curves
+from foreglow.options import PipelineOptions
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
 from tests.cli.commands import complaint, foreglow_command
@@ -94,6 +96,13 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     assert picture is not None
     assert picture.shape[0] > 100
     assert read_recipe(out / "recipe.toml", RECIPES["paper"]).model_dump(mode="json") == summary["recipe"]
+
+    copy = shutil.copy(out / "model.onnx", tmp_path / "copy.onnx")
+    known = learnt_proposals(Path(copy))
+    assert known is not None
+    assert have_same_boxes(known, read_config(out / "config.toml").proposals)
+    with pytest.raises(ValueError, match=r"--model .*copy\.onnx, which knows the boxes of these proposals only"):
+        PipelineOptions(model=Path(copy)).configuration()
 
     dataset, pipeline = PVDN(data / "day/val"), Pipeline(read_config(out / "config.toml"))
     boxes, scores = {}, {}

@@ -52,7 +52,7 @@ def learnt_proposals(model: Path) -> ProposalConfig | None:
     try:
         fields = json.loads(text)
     except (ValueError, RecursionError):
-        raise ValueError(f"{origin}: expected those of `import-weights`, as JSON") from None
+        raise ValueError(f"{origin}: expected those of a training or of `import-weights`, as JSON") from None
     return validated(ProposalConfig, fields, origin)
 
 

@@ -132,7 +132,10 @@ def test_the_model_judges_the_boxes_that_its_weights_have_learnt(tmp_path: Path)
 def test_a_model_that_says_nothing_usable_of_its_boxes(tmp_path: Path) -> None:
     model = tmp_path / "model.onnx"
     import_weights(save(tmp_path / "weights.pt"), model)
-    for text, message in (("{", "expected those of `import-weights`, as JSON"), ('{"kapa": 1}', "kapa: unknown")):
+    for text, message in (
+        ("{", "expected those of a training or of `import-weights`, as JSON"),
+        ('{"kapa": 1}', "kapa: unknown"),
+    ):
         proto = onnx.load(model)
         onnx.helper.set_model_props(proto, {"proposals": text})
         onnx.save(proto, tmp_path / "other.onnx")

@@ -291,7 +291,7 @@ def fine_tune(
         "from": start.name,
         "from_sha256": start.digest,
         "mixed_in": [str(path) for path in mix] or OLD_SAMPLES.name,
-        **finish(recipe, result, judging, folder, counting),
+        **finish(recipe, result, judging, folder, counting, config.proposals),
         "way": way,
         "threshold": threshold,
         "before_and_after": figures,

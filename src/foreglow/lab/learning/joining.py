@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from foreglow.classifier.learnt import PROPOSALS, proposals_text
 from foreglow.config import preset
 from foreglow.datasets import open_labelled, split_folder
 from foreglow.lab.learning.annotation import IGNORED
@@ -45,7 +46,8 @@ def join(alone: Path, related: Path, val: Samples, out: Path) -> Calibrator:
     logits = score_samples(network, val, _CPU)
     calibrator = fit_calibrator(logits[is_known], val.labels[is_known], _RECIPE.calibration)
     done = calibrated(network, calibrator)
-    write_model(done, inputs, out, {name: str(value) for name, value in provenance().items() if name != "version"})
+    about = {name: str(value) for name, value in provenance().items() if name != "version"}
+    write_model(done, inputs, out, about | {PROPOSALS: proposals_text(preset("foreglow").proposals)})
     few = val.whole_sets(NUM_COMPARED)
     largest_difference(out, few, score_samples(done, few, _CPU))
     return calibrator

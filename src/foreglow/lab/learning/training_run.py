@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from scipy.special import expit
 
 from foreglow.checksums import check_as_written, replace_results
-from foreglow.config import PipelineConfig, config_to_toml, read_config
+from foreglow.classifier.learnt import PROPOSALS, proposals_text
+from foreglow.config import PipelineConfig, ProposalConfig, config_to_toml, read_config
 from foreglow.datasets import LabelledSource, SplitName, open_labelled, split_folder
 from foreglow.datasets.pvdn import is_split
 from foreglow.files import check_each_once, json_text
@@ -127,7 +128,7 @@ def train_model(
     summary = {
         "data": [str(path) for path in data],
         "teachers": {model.name: model.digest for model in models},
-        **finish(recipe, result, samples["val"], folder, Counting(config.classifier.score_threshold)),
+        **finish(recipe, result, samples["val"], folder, Counting(config.classifier.score_threshold), config.proposals),
         "samples": {name: sample_counts(split) for name, split in samples.items()},
         "without_light": [origin for name in names for origin in without_light(splits[name], parts[name])],
         "seconds": round(time.perf_counter() - started, 1),
@@ -173,7 +174,9 @@ def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: M
     return summary
 
 
-def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, counting: Counting) -> dict[str, Any]:
+def finish(
+    recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, counting: Counting, proposals: ProposalConfig
+) -> dict[str, Any]:
     """Calibrates the network, writes it as weights and as an ONNX model, compares the two, and rates it.
 
     Args:
@@ -182,6 +185,7 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, c
         val: The validation samples.
         folder: Where to write.
         counting: How the figures count the validation samples; its threshold is the pipeline's.
+        proposals: Whose boxes the samples are, as the model says of itself then.
 
     Returns:
         Figures for `summary.json`, by name.
@@ -199,7 +203,8 @@ def finish(recipe: Recipe, result: TrainingResult, val: Samples, folder: Path, c
     calibrator = fit_calibrator(logits, labels, recipe.calibration)
     network = calibrated(result.network, calibrator)
     made_with = {f"foreglow_{name}" if name == "version" else name: str(value) for name, value in provenance().items()}
-    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), **made_with}
+    about = {"recipe": recipe.model_dump_json(), "seed": str(recipe.seed), PROPOSALS: proposals_text(proposals)}
+    about |= made_with
     write_model(network, recipe.inputs, folder / MODEL, about)
     chosen = val.whole_sets(NUM_COMPARED)
     difference = largest_difference(folder / MODEL, chosen, score_samples(network, chosen, torch.device("cpu")))
