@@ -315,7 +315,7 @@ def test_a_killed_run_is_told(tmp_path: Path) -> None:
     words = "expected the folder of a run; frames.jsonl.partial is of a run that was killed: run it again"
     with pytest.raises(FileNotFoundError, match=rf"^{tmp_path}/frames.jsonl: no such file, {words}$"):
         read_run(tmp_path)
-    with pytest.raises(FileNotFoundError, match="run it again$"):
+    with pytest.raises(FileNotFoundError, match=r"run it again$"):
         read_predictions(tmp_path / "frames.jsonl")
-    with pytest.raises(FileNotFoundError, match="run it again$"):
+    with pytest.raises(FileNotFoundError, match=r"run it again$"):
         read_summary(tmp_path / "summary.json")
