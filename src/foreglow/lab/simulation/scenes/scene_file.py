@@ -1,0 +1,48 @@
+"""Scenes as TOML files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from foreglow.config import read_toml, validated
+from foreglow.lab.simulation.scenes.scene import Scene
+
+
+def read_scene(path: Path | str) -> Scene:
+    """The scene in the TOML file `path`; fields that it does not mention have their defaults.
+
+    Names of files in it are relative to its folder, and become absolute: what is written of the scene is read anywhere.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is not TOML, a field is unknown or out of range, or our low beam is changed beside another
+            beam, which would not show it; the message names path and field.
+    """
+    path = Path(path)
+    scene = validated(Scene, read_toml(path), str(path))
+    ego = scene.ego
+    if ego.beam != "low":
+        for name in ego.changed_low_beam:
+            lamps = {"matrix": "the matrix lamps have a low beam of their own", "high": "the high beam has its own"}
+            raise ValueError(
+                f'{path}: ego.{name}: expected only with beam = "low": {lamps[ego.beam]}, got {getattr(ego, name)!r} '
+                f'with beam = "{ego.beam}"'
+            )
+    folder = path.parent.resolve()
+    vehicles = tuple(vehicle.model_copy(update=_found(vehicle.low_beam_file, folder)) for vehicle in scene.vehicles)
+    return scene.model_copy(
+        update={"ego": ego.model_copy(update=_found(ego.low_beam_file, folder)), "vehicles": vehicles}
+    )
+
+
+def scene_to_toml(scene: Scene) -> str:
+    """`scene` as TOML text that `read_scene` reads back equal; fields that are None are left out."""
+    fields: dict[str, Any] = scene.model_dump(exclude_none=True)
+    return tomli_w.dumps(fields)
+
+
+def _found(low_beam_file: str | None, folder: Path) -> dict[str, str]:
+    return {} if low_beam_file is None else {"low_beam_file": str(folder / low_beam_file)}
