@@ -48,6 +48,11 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
         ),
         ('[ego]\nbeam = "matrix"\ncarpet = 0.4\n', r'ego\.carpet: .* own, got 0\.4 with beam = "matrix"'),
         ('[ego]\nbeam = "high"\nstray = 3.0\n', r'ego\.stray: expected only with beam = "low": the high beam'),
+        (
+            '[[vehicles]]\nbeam = "high"\nlow_beam_file = "l.ies"\n',
+            r"vehicles\.0\.low_beam_file: expected only with beam = \"low\" .*, got 'l\.ies' with beam = \"high\"",
+        ),
+        ('[[vehicles]]\nkind = "bicycle"\nlow_beam_file = "l.ies"\n', r"vehicles\.0\.low_beam_file: .* a bicycle"),
         ("[road\n", "expected TOML"),
         ("[surroundings]\nrails = [{side = 'up', span_m = [1.0, 2.0]}]\n", "surroundings.rails.0.side"),
         (

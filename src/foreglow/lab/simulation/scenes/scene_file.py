@@ -18,8 +18,8 @@ def read_scene(path: Path | str) -> Scene:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML, a field is unknown or out of range, or our low beam is changed beside another
-            beam, which would not show it; the message names path and field.
+        ValueError: If it is not TOML, a field is unknown or out of range, or a low beam is changed that the scene
+            does not show, as of lamps in high beam; the message names path and field.
     """
     path = Path(path)
     scene = validated(Scene, read_toml(path), str(path))
@@ -30,6 +30,13 @@ def read_scene(path: Path | str) -> Scene:
             raise ValueError(
                 f'{path}: ego.{name}: expected only with beam = "low": {lamps[ego.beam]}, got {getattr(ego, name)!r} '
                 f'with beam = "{ego.beam}"'
+            )
+    for number, vehicle in enumerate(scene.vehicles):
+        if vehicle.low_beam_file is not None and (vehicle.beam != "low" or vehicle.kind == "bicycle"):
+            its = "a bicycle" if vehicle.kind == "bicycle" else f'beam = "{vehicle.beam}"'
+            raise ValueError(
+                f'{path}: vehicles.{number}.low_beam_file: expected only with beam = "low" of a vehicle that is no '
+                f"bicycle, got {vehicle.low_beam_file!r} with {its}"
             )
     folder = path.parent.resolve()
     vehicles = tuple(vehicle.model_copy(update=_found(vehicle.low_beam_file, folder)) for vehicle in scene.vehicles)
