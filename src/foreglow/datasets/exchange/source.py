@@ -7,12 +7,18 @@ import dataclasses
 import functools
 import itertools
 import math
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
+from foreglow.datasets.exchange.image_ids import (
+    frame_number,
+    ids_in_folder,
+    ids_in_video,
+    named_images,
+    sequences_of,
+)
 from foreglow.datasets.exchange.marks import (
     EARLIER_IMAGE,
     ImageLabels,
@@ -27,11 +33,8 @@ from foreglow.datasets.exchange.marks import (
 from foreglow.datasets.image_folder import (
     MAX_STEP,
     earlier_name,
-    frame_numbers,
     has_earlier,
     is_one_drive,
-    natural_key,
-    number_in,
     steps_in,
 )
 from foreglow.datasets.images import read_coloured_image
@@ -96,10 +99,9 @@ class LabelFile(LabelledSource):
         self.folder, self._video = self._images_at(None if images is None else Path(images))
         self._splits: dict[Path, PVDN | None] = {}
         self._ids_in_split: dict[Path, dict[str, int]] = {}
-        named = numbered(self._named())
-        self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
+        self._images = self._by_id()
         self._labelled = {self.folder / image.name: id_ for id_, image in self._images.items()}
-        self._sequences = _sequences(self._images, self.path)
+        self._sequences = sequences_of(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
         self.rate_hz = self._rate_hz()
         self._drives = {each.id: self._drive_of(each) for each in self._sequences}
@@ -136,7 +138,7 @@ class LabelFile(LabelledSource):
 
     def _of_video(self, video: Video) -> Iterator[Frame]:
         """The selected frames of a video, each with its earlier one."""
-        wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
+        wanted = {frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
         selected = frozenset(wanted)
         recent: list[Frame] = []
         for frame in video:
@@ -157,7 +159,7 @@ class LabelFile(LabelledSource):
         """As in `LabelledSource`; of a video, all frames before it are decoded."""
         name = self._image(image_id).name
         if self._video is not None:
-            number = _frame_number(name)
+            number = frame_number(name)
             for frame in self._video:
                 if frame.frame == number:
                     return self._checked(frame, image_id)
@@ -350,6 +352,16 @@ class LabelFile(LabelledSource):
         named = dataclasses.replace(frame, frame=image_id, sequence=directory, earlier=earlier)
         return full_scale(named, self.white_level)
 
+    def _by_id(self) -> dict[int, ImageLabels]:
+        """The images by their ids, with numbers for all vehicles and lights."""
+        if self._video is None:
+            named = numbered(named_images(self.labels, self.folder, self.path))
+            ids = ids_in_folder([image.name for image in named], self.folder)
+        else:
+            named = numbered(self.labels.images)
+            ids = ids_in_video([image.name for image in named], self._video.path, self.path)
+        return dict(zip(ids, named, strict=True))
+
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""
         if given is not None and given.is_file():
@@ -367,82 +379,8 @@ class LabelFile(LabelledSource):
             "says where they are"
         )
 
-    def _ids(self, names: list[str]) -> list[int]:
-        """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
-
-        In folders of folders it is the number that each is called by, where all are; else its place by its name.
-
-        Raises:
-            ValueError: If they are those of a video, and one is no frame's, or there twice.
-        """
-        if self._video is not None:
-            frames_of = [_frame_number(name) for name in names]
-            twice = next((number for number, count in Counter(frames_of).items() if count > 1), None)
-            if twice is not None:
-                raise ValueError(f"{self.path}: expected each frame of {self._video.path} once, {twice} is there twice")
-            return frames_of
-        if (self.folder / names[0]).is_file() and not any("/" in name for name in names):
-            frames = frame_numbers(self.folder)
-            if frames.keys() >= set(names):
-                return [frames[name] for name in names]
-        numbers = [number_in(name) for name in names]
-        known = [number for number in numbers if number is not None]
-        order = sorted(names, key=lambda name: (natural_key(name), name))
-        places = {name: place for place, name in enumerate(order)}
-        return known if len(set(known)) == len(names) else [places[name] for name in names]
-
-    def _named(self) -> tuple[ImageLabels, ...]:
-        """The labels with the names of files; of a video, with the numbers of frames."""
-        images = self.labels.images
-        if self._video is not None or not self.labels.is_video:
-            return images
-        names = list(frame_numbers(self.folder))
-        numbers = [int(image.name) for image in images]
-        if numbers[-1] >= len(names):
-            raise ValueError(
-                f"{self.folder}: expected an image for frame {numbers[-1]} of {self.path}, found {len(names)} images"
-                " (earlier images beside others are no frames)"
-            )
-        return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
-
 
 def _earlier(times_ns: Mapping[int, int], now_ns: int) -> int | None:
     """The key of the time whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
     ages_ns = {key: now_ns - time_ns for key, time_ns in times_ns.items() if now_ns - time_ns >= 5e8 * EARLIER_S}
     return min(ages_ns, key=lambda key: abs(ages_ns[key] - 1e9 * EARLIER_S)) if ages_ns else None
-
-
-def _frame_number(name: str) -> int:
-    """The frame of a video that an image is, by its name.
-
-    Raises:
-        ValueError: If the name does not say it.
-    """
-    number = number_in(name)
-    if number is None:
-        raise ValueError(f"{name}: expected the name of a frame, such as frame_000012.png, as the images are a video's")
-    return number
-
-
-def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ...]:
-    """The sequences: a folder each, called by its name, or by that of the file where the images lie in none."""
-    ids: dict[str, list[int]] = {}
-    for image_id, image in images.items():
-        ids.setdefault(image.name.rpartition("/")[0], []).append(image_id)
-    folders: dict[str, str] = {}  # by the name of the sequence
-    for folder in sorted(ids):
-        name = (folder.replace("/", "_") or re.sub(r"[^\w.-]", "_", path.stem))[:200]
-        others = (f"{name[:190]}_{number}" for number in itertools.count(2))  # a/b and a_b are two drives
-        folders[next(each for each in (name, *itertools.islice(others, len(folders))) if each not in folders)] = folder
-    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in folders]
-    numbers = {int(found[1]) for found in known if found}
-    is_known = all(known) and len(numbers) == len(ids)
-    return tuple(
-        Sequence.plain(
-            int(directory[1:]) if is_known else index,
-            directory=directory,
-            image_ids=tuple(sorted(ids[folder])),
-            num_images=len(ids[folder]),
-        )
-        for index, (directory, folder) in enumerate(sorted(folders.items()), start=1)
-    )
