@@ -12,6 +12,7 @@ from pathlib import Path
 from foreglow.datasets.exchange.marks import ImageLabels, LabelSet
 from foreglow.datasets.image_folder import frame_numbers, natural_key, number_in
 from foreglow.datasets.pvdn.schema import Sequence
+from foreglow.datasets.video import Video
 
 
 def named_images(labels: LabelSet, folder: Path, path: Path) -> tuple[ImageLabels, ...]:
@@ -71,6 +72,16 @@ def frame_number(name: str) -> int:
     if number is None:
         raise ValueError(f"{name}: expected the name of a frame, such as frame_000012.png, as the images are a video's")
     return number
+
+
+def left_out_frames(video: Video) -> dict[int | str, str]:
+    """The lines about what the latest iteration of a video left out, by the frame; those about more, by themselves."""
+    found: dict[int | str, str] = {}
+    for line in video.skipped:
+        rest = line.removeprefix(f"{video.path}: frame ")
+        number = re.match("([0-9]+): ", rest) if rest != line else None
+        found[int(number[1]) if number and line not in video.lost_parts else line] = line
+    return found
 
 
 def sequences_of(images: Mapping[int, ImageLabels], path: Path) -> tuple[Sequence, ...]:
