@@ -45,13 +45,15 @@ def evaluate(
         output_file("Also write the figures of the table, and those by whose light, as JSON.", QUALITY, "--json"),
     ] = None,
     robustness: Annotated[
-        bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")
+        bool, flag("--robustness", "For --out: also run on disturbed images: gain, noise, haze, rain, blur.")
     ] = False,
     seed: Annotated[int | None, option("N", "Seed of the disturbances (default: 0).", min=0)] = None,
 ) -> None:
     """Compare the boxes of a model, or of --predictions, with the key points of a split."""
     if robustness and predictions is not None:
         raise ValueError("evaluate: expected --model with --robustness, which runs on disturbed images")
+    if robustness and out is None:
+        raise ValueError("evaluate: expected --out with --robustness, whose figures are in the report alone")
     if seed is not None and not robustness:
         raise ValueError("evaluate: expected --robustness with --seed, which is that of its disturbances")
     if work.is_parallel and predictions is not None:
