@@ -45,7 +45,7 @@ def evaluate(
         output_file("Also write the figures of the table, and those by whose light, as JSON.", QUALITY, "--json"),
     ] = None,
     robustness: Annotated[
-        bool, flag("--robustness", "For --out: also run on disturbed images: gain, noise, haze, rain, blur.")
+        bool, flag("--robustness", "Also run on disturbed images: gain, noise, haze, rain, blur.")
     ] = False,
     seed: Annotated[int | None, option("N", "Seed of the disturbances (default: 0).", min=0)] = None,
 ) -> None:

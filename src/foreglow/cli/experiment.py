@@ -61,7 +61,7 @@ def reproduce(
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
     from foreglow.lab.studies.reproduction.page import answers, summary_lines, write_page
-    from foreglow.lab.studies.reproduction.plan import MODELS, ReproductionPlan
+    from foreglow.lab.studies.reproduction.plan import MODELS, TRAINED, ReproductionPlan
     from foreglow.lab.studies.reproduction.run import run_experiments
 
     require_matplotlib()
@@ -83,6 +83,8 @@ def reproduce(
         device=device,
         production_category=production_category,
     )
+    if epochs is not None and plan.models.keys() >= set(TRAINED):
+        raise ValueError("--epochs: expected with a network that is trained, the models of all are given")
     with StepProgress() as progress:
         outcomes = run_experiments(plan, out, workers=work.workers(), progress=progress)
     report = write_page(plan, outcomes, out)

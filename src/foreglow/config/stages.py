@@ -141,7 +141,7 @@ class ClassifierConfig(FrozenModel):
         model: Path of the ONNX model, relative to the working directory (also in a file), or the name of one that
             ships, `foreglow`; None leaves the proposals unclassified.
         support: The crop reaches this many times the box's width and height to either side of its centre; None for
-            the value in the model's metadata, or the paper's M = 2 if there is none.
+            the value in the model's metadata, or the paper's M = 2 if there is none. A training takes its recipe's.
         score_threshold: A proposal is accepted if its score is above this.
         num_threads: Threads used for inference.
         device: `cpu`, or `cuda` for a GPU where ONNX Runtime has it.
@@ -168,7 +168,8 @@ class DistanceConfig(FrozenModel):
         all_pixels: Whether `maximum`, `minimum`, `mean` and `median` go by every pixel of the box, as the paper's,
             instead of 3 x 3 of them.
         pitch: The body's pitch against the road: `fixed` takes the calibration's, `motion` adds that of
-            `Frame.motion`, `markings` estimates it from the markings in the image.
+            `Frame.motion` where it is known (simulated drives, ROS 2 and recordings of them; CAN logs do not tell it),
+            `markings` estimates it from the markings in the image.
         align: Whether `road_surface` corrects our pose on the road: yaw and lateral offset from the markings in the
             image, the position along the road from our yaw rate. Otherwise it trusts the map, and assumes that we
             keep the lane.

@@ -387,6 +387,10 @@ def test_the_network_that_goes_on_is_that_of_the_model(drives: Path, tmp_path: P
     (tmp_path / "own.toml").write_text(text)
     arguments = ("--from", "foreglow", "--recipe-file", tmp_path / "own.toml")
     assert message in complaint("train", drives, "--out", tmp_path / "mine", *arguments)
+    (tmp_path / "own.toml").write_text("[classifier]\nsupport = 4\n")
+    for start in (("--from", "foreglow"), ()):
+        line = complaint("train", drives, "--out", tmp_path / "mine", *start, "--config", tmp_path / "own.toml")
+        assert "classifier.support: expected none, or 2 as inputs.support of the recipe, got 4" in line
     assert not (tmp_path / "mine").exists()
 
 

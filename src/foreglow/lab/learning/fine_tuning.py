@@ -34,6 +34,7 @@ from foreglow.lab.learning.scores import Counting, light_logits
 from foreglow.lab.learning.training_progress import RunProgress
 from foreglow.lab.learning.training_run import (
     TEXTS,
+    check_support,
     finish,
     labelled_samples,
     sample_counts,
@@ -209,8 +210,9 @@ def fine_tune(
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If there is no such device, the recipe is for another network, a split is broken or must not be
-            learnt from, no box of DATA has light, or the folder holds another training, or one with a changed text.
+        ValueError: If there is no such device, the recipe or the crops are of another network, a split is broken or
+            must not be learnt from, no box of DATA has light, or the folder holds another training, or one with a
+            changed text.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     from foreglow.lab.learning.checkpoints import check_begun
@@ -220,6 +222,7 @@ def fine_tune(
     check_as_written(folder, TEXTS)
     chosen_device = torch_device(device)
     _check_network(recipe, start)
+    check_support(recipe, config)
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]
