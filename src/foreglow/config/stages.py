@@ -223,9 +223,10 @@ class TrackerConfig(FrozenModel):
         reject_evidence: Log-likelihood ratio down to which it stays plausible (`evidence`).
         company_evidence: Additional ratio that a second track needs beside a plausible one (`evidence`).
         company_s: Another track that was plausible so recently counts as a plausible one there (`evidence`).
-        range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none.
+        range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none
+            (`evidence`).
         restless_evidence: Weight of how restless a light is as evidence for a vehicle beside the score, if it is no
-            lamp in sight; 0 for none.
+            lamp in sight; 0 for none (`evidence`).
         vehicle_gate: Tracks whose boxes are at most so far apart, in units of their size, belong to one vehicle, and
             vehicles are confirmed instead of tracks; 0 for tracks alone.
 
