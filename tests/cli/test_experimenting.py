@@ -190,6 +190,7 @@ def test_what_is_named_twice_would_count_twice(tmp_path: Path, monkeypatch: pyte
 def test_bad_input_of_time_benefit(tmp_path: Path) -> None:
     experiment = ("experiment", "time-benefit", shipped_drive(), "--out", tmp_path / "out")
     assert "classifier.model: expected one" in complaint(*experiment, "--preset", "paper")
+    assert "--production-category: expected with labels as PVDN's" in complaint(*experiment, "--production-category", 5)
     assert not (tmp_path / "out").exists()
 
 

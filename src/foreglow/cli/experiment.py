@@ -56,6 +56,7 @@ def reproduce(
     device: DeviceOption = "auto",
 ) -> None:
     """Put every table, figure and number of the paper beside ours: one page, and the experiments behind it."""
+    from foreglow.datasets import CategoryConfig
     from foreglow.display.progress import StepProgress
     from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
@@ -85,6 +86,8 @@ def reproduce(
     )
     if epochs is not None and plan.models.keys() >= set(TRAINED):
         raise ValueError("--epochs: expected with a network that is trained, the models of all are given")
+    if production_category != CategoryConfig().low_beam_trigger and plan.has("test") and plan.is_simulated:
+        raise ValueError("--production-category: expected with labels as PVDN's; simulated drives say it themselves")
     with StepProgress() as progress:
         outcomes = run_experiments(plan, out, workers=work.workers(), progress=progress)
     report = write_page(plan, outcomes, out)
