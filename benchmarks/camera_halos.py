@@ -114,12 +114,12 @@ class ProfileLamps:
     def __init__(self, name: str) -> None:
         profile = read_profile(name)
         lens = profile.lens.model_copy(update={"variety": 0.0})
-        imager = profile.imager.model_copy(update={"bits": FINE_BITS})
+        is_scene = profile.imager.model == "scene"
+        imager = profile.imager if is_scene else profile.imager.model_copy(update={"bits": FINE_BITS})
         profile = profile.model_copy(update={"lens": lens, "imager": imager})
         self.camera = View(profile, camera_of(CameraSpec())).camera
         sensor = profile.scene_sensor(SensorSpec())
         self._optics = Windscreen(profile, sensor, self.camera)
-        is_scene = profile.imager.model == "scene"
         self._imager = (
             Sensor(sensor, self.camera, 0, self._optics) if is_scene else ElectronImager(profile, self._optics, 0)
         )

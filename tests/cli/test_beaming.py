@@ -233,6 +233,9 @@ def test_what_the_tracks_of_a_run_were_made_with_cannot_be_changed(tmp_path: Pat
     (tmp_path / "own.toml").write_text("[classifier]\nscore_threshold = 0.2\n")
     said = complaint("beam", run, "--out", tmp_path / "out", "--config", tmp_path / "own.toml")
     assert "own.toml: classifier: expected that of" in said
+    (tmp_path / "own.toml").write_text("[guard]\nwhite_level = 200\n")
+    said = complaint("beam", run, "--out", tmp_path / "out", "--config", tmp_path / "own.toml")
+    assert "own.toml: guard.white_level: expected that of" in said
     assert not (tmp_path / "out").exists()
     beam(run, "--out", tmp_path / "out", "--config", run / "config.toml")
 

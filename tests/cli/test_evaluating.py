@@ -278,6 +278,8 @@ def test_exactly_one_detector_is_needed(split: Path, predictions: Path, tmp_path
     line = complaint("evaluate", split, "--predictions", predictions, "--jobs", 2)
     assert "expected --jobs and --cluster with a model" in line
     assert "expected --robustness with --seed" in complaint("evaluate", split, "--seed", 3)
+    line = complaint("evaluate", split, "--robustness", "--json", tmp_path / "all.json")
+    assert "expected --out with --robustness, whose figures are in the report alone" in line
 
 
 def test_a_missing_model_is_one_line(tmp_path: Path, split: Path) -> None:

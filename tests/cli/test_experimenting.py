@@ -87,6 +87,15 @@ def test_bad_input_of_the_experiment(data: Path, tmp_path: Path) -> None:
     assert "rows: expected one whose model is given or trained, got none: baseline-small: not given" in line
     assert not (tmp_path / "out").exists()
     assert "split: expected one of train, val, test, got 'all'" in complaint(*experiment, "--split", "all")
+    ours = ("--our-model", "foreglow", "--rows", "ours,yolo-small")
+    for name, *unused in (
+        ("--yolo-epochs", 9, "--no-yolo"),
+        ("--yolo-image-size", 960, "--no-training"),
+        ("--epochs-ours", 9),
+        ("--epochs-paper", 9),
+        ("--patience", 9),
+    ):
+        assert f"{name}: expected with a row that is trained by it" in complaint(*experiment, *ours, name, *unused)
 
 
 @pytest.mark.usefixtures("undrawn", "few_rules")
@@ -181,6 +190,7 @@ def test_what_is_named_twice_would_count_twice(tmp_path: Path, monkeypatch: pyte
 def test_bad_input_of_time_benefit(tmp_path: Path) -> None:
     experiment = ("experiment", "time-benefit", shipped_drive(), "--out", tmp_path / "out")
     assert "classifier.model: expected one" in complaint(*experiment, "--preset", "paper")
+    assert "--production-category: expected with labels as PVDN's" in complaint(*experiment, "--production-category", 5)
     assert not (tmp_path / "out").exists()
 
 

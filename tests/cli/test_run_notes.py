@@ -64,6 +64,7 @@ def test_frames_that_are_kept_although_damaged_are_counted_and_marked(tmp_path: 
     data[position + size // 2 : position + size * 3 // 4] = bytes(size * 3 // 4 - size // 2)
     film.write_bytes(bytes(data))
     done = foreglow_command("run", film, "--on-error", "mark", "--jobs", jobs, "--out", out)
+    assert (f"{film}: a single sequence, so that one job does all of the work" in done.stderr) == (jobs == 2)
     assert done.exit_code == 0, done.output
     num_damaged = sum(frame.is_damaged for frame in Video(film, on_error="mark"))
     assert num_damaged > 1

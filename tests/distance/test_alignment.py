@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from foreglow.distance.alignment import BOUND_SHARE, LEFT_SIGMA_M, YAW_SIGMA_RAD, RoadAligner, map_alignment
 from foreglow.distance.ribbon import Alignment, mapped_standing
-from foreglow.geometry import rotation
+from foreglow.geometry import MountSigmas, rotation
 from foreglow.types import EgoMotion, RoadAhead
 from tests.distance.roads import camera, frame, line, road, straight
 from tests.distance.test_markings import NOTHING, marked
@@ -75,6 +76,17 @@ def test_without_road_or_motion_the_map_is_believed() -> None:
     for known in (frame(NOTHING, None, None), frame(NOTHING, None, straight())):
         assert RoadAligner().align(known) == map_alignment(known)
     assert math.isinf(map_alignment(frame(NOTHING, None, None)).shift_sigma_m)
+
+
+def test_the_mounts_yaw_is_no_better_known_than_its_calibration_says() -> None:
+    known = frame(NOTHING, camera(), straight())
+    mount = MountSigmas(yaw_rad=2 * YAW_SIGMA_RAD)
+    doubted = dataclasses.replace(known, camera=dataclasses.replace(camera(), mount_sigmas=mount))
+    aligner = RoadAligner()
+    assert aligner.align(known).yaw_sigma_rad == map_alignment(known).yaw_sigma_rad == YAW_SIGMA_RAD
+    aligner.reset()
+    expected = pytest.approx(math.sqrt(5) * YAW_SIGMA_RAD)
+    assert aligner.align(doubted).yaw_sigma_rad == map_alignment(doubted).yaw_sigma_rad == expected
 
 
 @pytest.mark.slow

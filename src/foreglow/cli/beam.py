@@ -122,10 +122,12 @@ def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig
     if options.config is None:
         return configuration
     changed = read_config(options.config, configuration)
+    words = f"expected that of {run}, or none: its tracks are taken as they are"
     for section in ("proposals", "classifier", "distance", "tracker", "standing"):
         if getattr(changed, section) != getattr(configuration, section):
-            words = f"expected that of {run}, or none: its tracks are taken as they are"
             raise ValueError(f"{options.config}: {section}: {words}")
+    if changed.guard.white_level != configuration.guard.white_level:  # all stages see the images by it
+        raise ValueError(f"{options.config}: guard.white_level: {words}")
     return changed
 
 

@@ -52,6 +52,8 @@ def evaluate(
     """Compare the boxes of a model, or of --predictions, with the key points of a split."""
     if robustness and predictions is not None:
         raise ValueError("evaluate: expected --model with --robustness, which runs on disturbed images")
+    if robustness and out is None:
+        raise ValueError("evaluate: expected --out with --robustness, whose figures are in the report alone")
     if seed is not None and not robustness:
         raise ValueError("evaluate: expected --robustness with --seed, which is that of its disturbances")
     if work.is_parallel and predictions is not None:

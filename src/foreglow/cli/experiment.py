@@ -59,12 +59,13 @@ def reproduce(
 
     Exit code 2 means that an experiment was begun and could not be finished; the page says why, and has all others.
     """
+    from foreglow.datasets import CategoryConfig
     from foreglow.display.progress import StepProgress
     from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
     from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
     from foreglow.lab.studies.reproduction.page import answers, summary_lines, write_page
-    from foreglow.lab.studies.reproduction.plan import MODELS, ReproductionPlan
+    from foreglow.lab.studies.reproduction.plan import MODELS, TRAINED, ReproductionPlan
     from foreglow.lab.studies.reproduction.run import run_experiments
 
     require_matplotlib()
@@ -86,6 +87,10 @@ def reproduce(
         device=device,
         production_category=production_category,
     )
+    if epochs is not None and plan.models.keys() >= set(TRAINED):
+        raise ValueError("--epochs: expected with a network that is trained, the models of all are given")
+    if production_category != CategoryConfig().low_beam_trigger and plan.has("test") and plan.is_simulated:
+        raise ValueError("--production-category: expected with labels as PVDN's; simulated drives say it themselves")
     with StepProgress() as progress:
         outcomes = run_experiments(plan, out, workers=work.workers(), progress=progress)
     report = write_page(plan, outcomes, out)

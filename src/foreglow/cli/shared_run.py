@@ -68,12 +68,20 @@ def run_in_parallel(
     workers: Workers,
     looks: LookSink | None = None,
 ) -> RunSummary:
-    """Runs a pipeline over each sequence on its own, with a progress bar; `looks` sees the frames."""
+    """Runs a pipeline over each sequence on its own, with a progress bar; `looks` sees the frames.
+
+    Prints a line to stderr if there are several jobs and only one sequence.
+    """
+    from foreglow.datasets import part_names
     from foreglow.display.progress import PartsProgress
+    from foreglow.parallel.local import Local
     from foreglow.runtime import OutputFolder, run_apart
     from foreglow.whole_files import entered
 
-    with PartsProgress(opening().num_frames) as progress, entered(lambda: OutputFolder(out)) as folder:
+    source = opening()
+    if isinstance(workers, Local) and workers.jobs > 1 and len(part_names(source)) == 1:
+        typer.echo(f"foreglow: {name}: a single sequence, so that one job does all of the work", err=True)
+    with PartsProgress(source.num_frames) as progress, entered(lambda: OutputFolder(out)) as folder:
         return run_apart(opening, configuration, folder, workers, progress=progress, source_name=name, watcher=looks)
 
 

@@ -21,6 +21,8 @@ RangeLimit: TypeAlias = Annotated[
 class BeamConfig(FrozenModel):
     """Parameters of the beam stage; `docs/beam.md` describes the policies.
 
+    Of our policies, only `foreglow` uses `latency_s`, `coverage`, `min_confidence`, `min_hidden_confidence` and `ask`.
+
     Attributes:
         policy: `none` for no commands, `low` or `high` for that beam alone, `paper` (the brightest track alone),
             `foreglow` (all tracks, and the place where a hidden vehicle will appear), or a policy of your own,

@@ -141,7 +141,7 @@ class ClassifierConfig(FrozenModel):
         model: Path of the ONNX model, relative to the working directory (also in a file), or the name of one that
             ships, `foreglow`; None leaves the proposals unclassified.
         support: The crop reaches this many times the box's width and height to either side of its centre; None for
-            the value in the model's metadata, or the paper's M = 2 if there is none.
+            the value in the model's metadata, or the paper's M = 2 if there is none. A training takes its recipe's.
         score_threshold: A proposal is accepted if its score is above this.
         num_threads: Threads used for inference.
         device: `cpu`, or `cuda` for a GPU where ONNX Runtime has it.
@@ -168,7 +168,8 @@ class DistanceConfig(FrozenModel):
         all_pixels: Whether `maximum`, `minimum`, `mean` and `median` go by every pixel of the box, as the paper's,
             instead of 3 x 3 of them.
         pitch: The body's pitch against the road: `fixed` takes the calibration's, `motion` adds that of
-            `Frame.motion`, `markings` estimates it from the markings in the image.
+            `Frame.motion` where it is known (simulated drives, ROS 2 and recordings of them; CAN logs do not tell it),
+            `markings` estimates it from the markings in the image.
         align: Whether `road_surface` corrects our pose on the road: yaw and lateral offset from the markings in the
             image, the position along the road from our yaw rate. Otherwise it trusts the map, and assumes that we
             keep the lane.
@@ -222,9 +223,10 @@ class TrackerConfig(FrozenModel):
         reject_evidence: Log-likelihood ratio down to which it stays plausible (`evidence`).
         company_evidence: Additional ratio that a second track needs beside a plausible one (`evidence`).
         company_s: Another track that was plausible so recently counts as a plausible one there (`evidence`).
-        range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none.
+        range_evidence: Weight of the range as evidence for a vehicle beside the score, where it is known; 0 for none
+            (`evidence`).
         restless_evidence: Weight of how restless a light is as evidence for a vehicle beside the score, if it is no
-            lamp in sight; 0 for none.
+            lamp in sight; 0 for none (`evidence`).
         vehicle_gate: Tracks whose boxes are at most so far apart, in units of their size, belong to one vehicle, and
             vehicles are confirmed instead of tracks; 0 for tracks alone.
 

@@ -83,7 +83,14 @@ MAX_GAP_S = 1.0
 def map_alignment(frame: Frame) -> Alignment:
     """The map's own belief: no shift, with its error; infinite sigma of the shift without a road or a bound."""
     bound_m = math.inf if frame.road is None else frame.road.error_bound_m
-    return Alignment(0.0, 0.0, 0.0, YAW_SIGMA_RAD, LEFT_SIGMA_M, BOUND_SHARE * max(bound_m, STEP_M))
+    return Alignment(0.0, 0.0, 0.0, _yaw_sigma_rad(frame), LEFT_SIGMA_M, BOUND_SHARE * max(bound_m, STEP_M))
+
+
+def _yaw_sigma_rad(frame: Frame) -> float:
+    """Standard deviation of the camera's yaw against the lane, before any marking is seen: the driver's and the
+    mount's.
+    """
+    return YAW_SIGMA_RAD if frame.camera is None else math.hypot(YAW_SIGMA_RAD, frame.camera.mount_sigmas.yaw_rad)
 
 
 class RoadAligner:
@@ -111,6 +118,7 @@ class RoadAligner:
         gap_s = math.nan if self._timestamp_ns is None else (frame.timestamp_ns - self._timestamp_ns) * 1e-9
         if not 0.0 < gap_s <= MAX_GAP_S:
             self.reset()
+            self._yaw = _Fading(_yaw_sigma_rad(frame))
             gap_s = math.nan
         self._timestamp_ns = frame.timestamp_ns
         shift_m, shift_sigma_m = self._shift(frame, gap_s)

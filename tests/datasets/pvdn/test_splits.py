@@ -43,7 +43,9 @@ def test_missing_split_or_folder(tmp_path: Path) -> None:
 
 def test_a_split_itself_or_one_of_a_data_set(tmp_path: Path) -> None:
     split = make_split(tmp_path / "night" / "val")
-    assert split_in(split, "test") == split
+    assert split_in(split, "test") == split_in(split, "val") == split
+    with pytest.raises(ValueError, match=r"split: expected a whole data set with train, .* is a single split"):
+        split_in(split, "train")
     assert split_in(tmp_path, "val") == split
     with pytest.raises(FileNotFoundError, match="expected the split test in it"):
         split_in(tmp_path, "test")

@@ -369,10 +369,29 @@ def test_the_recipe_is_that_of_the_model(drives: Path, tmp_path: Path, monkeypat
         (["--from", "foreglow", "--recipe", "paper"], "expected the recipe foreglow with --from, got 'paper'"),
         (["--from", "nothing.onnx"], "nothing.onnx: no such model file"),
         (["--from", "foreglow", "--preset", "paper"], "expected --preset foreglow with --from foreglow"),
+        (["--from", "foreglow", "--patience", "3"], "patience: expected none where best_by is last"),
     ],
 )
 def test_what_does_not_go_together_is_said(drives: Path, tmp_path: Path, options: list[str], message: str) -> None:
     assert message in complaint("train", drives, "--out", tmp_path / "mine", *options)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('network = "related"', "recipe: network: expected 'both', that of foreglow, which goes on, got 'related'"),
+        ("kinds = false", "recipe: kinds: expected True, that of foreglow, which goes on, got False"),
+    ],
+)
+def test_the_network_that_goes_on_is_that_of_the_model(drives: Path, tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "own.toml").write_text(text)
+    arguments = ("--from", "foreglow", "--recipe-file", tmp_path / "own.toml")
+    assert message in complaint("train", drives, "--out", tmp_path / "mine", *arguments)
+    (tmp_path / "own.toml").write_text("[classifier]\nsupport = 4\n")
+    for start in (("--from", "foreglow"), ()):
+        line = complaint("train", drives, "--out", tmp_path / "mine", *start, "--config", tmp_path / "own.toml")
+        assert "classifier.support: expected none, or 2 as inputs.support of the recipe, got 4" in line
+    assert not (tmp_path / "mine").exists()
 
 
 def test_drives_that_nobody_has_labelled_teach_nothing(

@@ -63,6 +63,7 @@ def test_a_table_changes_only_what_it_names(tmp_path: Path) -> None:
         ("[inputs]\nsize_px = 1000000", "inputs.*size_px: expected 1 to 1024, got 1000000"),
         ("[inputs]\nsupport = 1000", "inputs.*support: expected 1 to 100, got 1000"),
         ("[inputs]\ncontext = 1000", "inputs.*context: expected 1 to 100, got 1000"),
+        ("patience = 3\nbest_by = 'last'", "patience: expected none where best_by is last, as each epoch is, got 3"),
         ("patience = 100001", "patience: Input should be less than or equal to 100000"),
     ],
 )

@@ -258,6 +258,14 @@ def test_camera(capture: list[FakeCapture]) -> None:
 
 
 @pytest.mark.usefixtures("capture")
+def test_a_camera_that_does_not_have_the_size_that_was_asked_for() -> None:
+    """OpenCV takes the nearest one that the driver has, and says nothing."""
+    camera = open_live("camera:0", CameraOptions(size_px=(1280, 960)))
+    with pytest.raises(OSError, match=r"camera:0: size: expected images of 1280x960, as asked for, got 128x96"):
+        next(iter(camera))
+
+
+@pytest.mark.usefixtures("capture")
 def test_a_camera_of_16_bits_keeps_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """As OpenCV has it, one of 12 bits would have 16 grey levels."""
     monkeypatch.setattr(FakeCapture, "pixels", "Y16 ")

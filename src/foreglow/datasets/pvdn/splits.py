@@ -15,6 +15,9 @@ from foreglow.wording import check_one_of
 SplitName: TypeAlias = Literal["train", "val", "test"]
 SPLIT_NAMES: tuple[SplitName, ...] = ("train", "val", "test")
 
+MEASURED_ON: SplitName = "test"
+"""The split of a whole data set that is measured on if nobody names one."""
+
 DEMO_DRIVE = "curve"
 
 
@@ -54,10 +57,15 @@ def split_in(data: Path | str, name: SplitName) -> Path:
 
     Raises:
         FileNotFoundError: If there is no such folder or no such split.
-        ValueError: If there are several, or no split is ever called so.
+        ValueError: If there are several, no split is ever called so, or `data` is a split of another name; that of
+            `MEASURED_ON` says nothing, as it is what nobody asked for.
     """
     check_one_of(name, SplitName, "split")
-    return Path(data) if is_split(Path(data)) else split_folder(data, name)
+    if not is_split(Path(data)):
+        return split_folder(data, name)
+    if name not in (MEASURED_ON, Path(data).resolve().name):
+        raise ValueError(f"split: expected a whole data set with {name}, {data} is a single split")
+    return Path(data)
 
 
 def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dict[SplitName, Path]:

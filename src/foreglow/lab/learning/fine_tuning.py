@@ -34,6 +34,7 @@ from foreglow.lab.learning.scores import Counting, light_logits
 from foreglow.lab.learning.training_progress import RunProgress
 from foreglow.lab.learning.training_run import (
     TEXTS,
+    check_support,
     finish,
     labelled_samples,
     sample_counts,
@@ -171,6 +172,14 @@ def fine_tuning_recipe(start: StartingPoint) -> Recipe:
     return changed(base, FINE_TUNING | {"inputs": inputs, "kinds": start.has_kinds})
 
 
+def _check_network(recipe: Recipe, start: StartingPoint) -> None:
+    """ValueError if a recipe asks for another network than that of the model that goes on learning."""
+    for field, known in (("network", RECIPES[fitting_recipe(start)].network), ("kinds", start.has_kinds)):
+        given = getattr(recipe, field)
+        if given != known:
+            raise ValueError(f"recipe: {field}: expected {known!r}, that of {start.name}, which goes on, got {given!r}")
+
+
 def fine_tune(
     data: Sequence[Path],
     start: StartingPoint,
@@ -201,8 +210,9 @@ def fine_tune(
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
-        ValueError: If there is no such device, a split is broken or must not be learnt from, no box of DATA has light,
-            or the folder holds another training, or one with a changed text.
+        ValueError: If there is no such device, the recipe or the crops are of another network, a split is broken or
+            must not be learnt from, no box of DATA has light, or the folder holds another training, or one with a
+            changed text.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     from foreglow.lab.learning.checkpoints import check_begun
@@ -211,6 +221,8 @@ def fine_tune(
     started = time.perf_counter()
     check_as_written(folder, TEXTS)
     chosen_device = torch_device(device)
+    _check_network(recipe, start)
+    check_support(recipe, config)
     roots = [path if is_split(path) else split_folder(path, "train") for path in data]
     check_each_once(roots, "DATA")
     val_splits = [split_folder(path, "val") for path in data if _has_val(path)]

@@ -59,7 +59,8 @@ class Recipe(FrozenModel):
         network: Name of the network, a key of `networks.NETWORKS`.
         jitter: Moved and resized copies of the training boxes.
         epochs: Largest number of passes over the training samples.
-        patience: Training ends after this many epochs without a better one; None trains all epochs.
+        patience: Training ends after this many epochs without a better one; None trains all epochs, as `best_by` with
+            `last` does.
         optimiser: `adam` adds the weight decay to the gradient (L2, as published), `adamw` subtracts it from the
             weights.
         learning_rate: At the start, or after the warm-up.
@@ -142,6 +143,8 @@ class Recipe(FrozenModel):
             )
         if self.without_lamps and not self.inputs.together:
             raise ValueError(f"without_lamps: expected 0 without inputs.together, got {self.without_lamps:g}")
+        if self.best_by == "last" and self.patience is not None:
+            raise ValueError(f"patience: expected none where best_by is last, as each epoch is, got {self.patience}")
         if self.warmup_epochs > self.epochs:
             raise ValueError(f"warmup_epochs: expected at most epochs, {self.epochs}, got {self.warmup_epochs:g}")
         return self

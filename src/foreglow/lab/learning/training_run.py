@@ -76,7 +76,8 @@ def train_model(
     Raises:
         FileNotFoundError: If a split, one of its files or a teacher is missing.
         ValueError: If there is no such device, a split is broken or named twice, or must not be learnt from, a teacher
-            reads something else than the network, or the folder holds another training, or one with a changed text.
+            reads something else than the network, the configuration has other crops, or the folder holds another
+            training, or one with a changed text.
         ModuleNotFoundError: If the `train` extra is not installed.
     """
     import onnx  # noqa: F401  (fails early if it is missing)
@@ -90,6 +91,7 @@ def train_model(
     started = time.perf_counter()
     check_as_written(folder, TEXTS)
     torch_device(device)  # known before samples are made
+    check_support(recipe, config)
     models = read_teachers(teachers, recipe.inputs)
     if models and not recipe.kinds:
         raise ValueError("recipe: kinds: expected true with teachers, which tell them, got false")
@@ -134,6 +136,13 @@ def train_model(
         "seconds": round(time.perf_counter() - started, 1),
     }
     return write_results(folder, recipe, config, summary)
+
+
+def check_support(recipe: Recipe, config: PipelineConfig) -> None:
+    """ValueError if a configuration has other crops than those of the recipe, which are the network's."""
+    given, used = config.classifier.support, recipe.inputs.support
+    if given not in (None, used):
+        raise ValueError(f"classifier.support: expected none, or {used} as inputs.support of the recipe, got {given}")
 
 
 def training_configuration(model: Path, base: PipelineConfig | None = None) -> PipelineConfig | None:

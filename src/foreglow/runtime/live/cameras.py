@@ -45,7 +45,7 @@ class CameraOptions:
     """How a live source is read.
 
     Attributes:
-        size_px: Width and height to request from a camera; None for its own.
+        size_px: Width and height to request from a camera, which is lost with others; None for its own.
         rate_hz: Frame rate to request from a camera and to expect; None for its own.
         delay_s: From the middle of the exposure until the frame arrives; subtracted from the time of arrival.
         data: The car's own data for each frame, with a camera no log or poses of an earlier drive; None without.
@@ -143,8 +143,14 @@ class CaptureCamera(LiveCamera):
                 is_read, image = capture.read()
                 if not is_read:
                     raise OSError(f"{self.name}: brings no more frames")
-                chroma = red_chroma(image, order="bgr")
-                yield self.arrived(to_grey(image, self.name, order="bgr"), red_chroma=chroma)
+                chroma, grey = red_chroma(image, order="bgr"), to_grey(image, self.name, order="bgr")
+                size_px = grey.shape[1], grey.shape[0]
+                if self._options.size_px not in (None, size_px):
+                    wanted = "{}x{}".format(*self._options.size_px)
+                    raise OSError(
+                        f"{self.name}: size: expected images of {wanted}, as asked for, got {size_px[0]}x{size_px[1]}"
+                    )
+                yield self.arrived(grey, red_chroma=chroma)
         finally:
             capture.release()
 

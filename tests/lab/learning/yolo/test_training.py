@@ -143,6 +143,8 @@ def test_train_on_an_export(calls: Calls, data: Path, tmp_path: Path) -> None:
     export_yolo(data, tmp_path / "export", preset_name="baseline", size_px=96)
     run = train_yolo(tmp_path / "export", tmp_path / "run", config(calls.name))
     assert (run.settings.boxes, run.settings.export_size_px) == ("preset baseline", 96)
+    with pytest.raises(ValueError, match=r"export: expected no preset with an export, .* preset baseline, got 'paper'"):
+        train_yolo(tmp_path / "export", tmp_path / "other", config(calls.name), preset_name="paper")
     assert calls.trained[0]["imgsz"] == 64
     predict_yolo(run, PVDN(data / "val"))
     assert calls.predicted[-1]["shape"] == (96, 96, 3)

@@ -148,6 +148,23 @@ def test_a_profile_that_cannot_be(tmp_path: Path, text: str, message: str) -> No
         read_profile(str(tmp_path / "own.toml"))
 
 
+@pytest.mark.parametrize("field", ["tone.sharpen", "exposure.gain", "lens.core_px", "imager.bloom_px", "encoder.kbps"])
+def test_what_a_scenes_own_sensor_does_not_use_is_refused(tmp_path: Path, field: str) -> None:
+    """A profile that was printed and edited would make the same images as before."""
+    (tmp_path / "own.toml").write_text(f"imager.model = 'scene'\n{field} = 3.0\n")
+    with pytest.raises(
+        ValueError, match=rf"own\.toml: {field.removesuffix('.kbps')}: expected none with imager\.model"
+    ):
+        read_profile(str(tmp_path / "own.toml"))
+    assert "[tone]" not in profile_to_toml(read_profile("pvdn_night"))
+
+
+def test_what_only_a_scenes_own_sensor_uses_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text("[imager]\nlate_gain = 3.0\n")
+    with pytest.raises(ValueError, match=r"imager\.late_gain: expected none with imager\.model electrons"):
+        read_profile(str(tmp_path / "own.toml"))
+
+
 def test_a_late_gain_amplifies_black_and_highlights_but_not_the_linear_part() -> None:
     profile = CameraProfile(name="own", imager=ImagerSpec(model="scene", late_gain=2.0, row_noise=1.5, grain_px=1.2))
     before = SensorSpec()

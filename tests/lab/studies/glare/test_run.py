@@ -21,6 +21,7 @@ from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
+from foreglow.lab.studies.glare.loop import Delays
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, NamedScene, named_scenes, remarks_on, run_experiment
 from foreglow.lab.studies.glare.simulate import Setting, settings_of
@@ -169,6 +170,20 @@ def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest
     latency = Path(shutil.copy(oracle, tmp_path / "latency 0.toml"))
     with pytest.raises(ValueError, match=r"latency 0\.toml: expected a file that is called unlike any other row"):
         GlarePlan(also=(latency,)).others(cars)
+
+
+def test_the_latency_is_that_of_the_delays(tmp_path: Path) -> None:
+    """A policy knows of the delays that there are: another latency in its configuration was ignored."""
+    other = tmp_path / "other.toml"
+    other.write_text("[beam]\nlatency_s = 0.3\n")
+    expected = r"beam\.latency_s: expected 0\.15, the sum of camera delay and lamp delay, or its default, got 0\.3"
+    with pytest.raises(ValueError, match=rf"other\.toml: {expected}"):
+        GlarePlan(also=(other,)).others(config())
+    with pytest.raises(ValueError, match=f"^{expected}"):
+        GlarePlan().delays.known_to(config().changed("beam", latency_s=0.3))
+    slow = Delays(camera_s=0.2, lamp_s=0.1)
+    for given_s in (0.15, 0.3):
+        assert slow.known_to(config().changed("beam", latency_s=given_s)).beam.latency_s == pytest.approx(0.3)
 
 
 def test_all_cars_have_the_same_lamps(tmp_path: Path) -> None:

@@ -383,6 +383,15 @@ def test_a_link_in_place_of_a_folder_for_an_experiment(data: Path, tmp_path: Pat
     assert list(link.parent.iterdir()) == [link]
 
 
+def test_what_has_no_effect_on_the_data_is_refused(data: Path, tmp_path: Path) -> None:
+    options = ("--baseline-small-model", "--baseline-model", "--paper-model")
+    given = [word for option in options for word in (option, tmp_path / "model.onnx")]
+    line = complaint("reproduce", data, "--out", tmp_path / "out", *given, "--epochs", 3)
+    assert "--epochs: expected with a network that is trained" in line
+    line = complaint("reproduce", data, "--out", tmp_path / "out", "--production-category", 5)
+    assert "--production-category: expected with labels as PVDN's" in line
+
+
 def test_the_command(tmp_path: Path) -> None:
     error = complaint("reproduce", tmp_path, "--out", tmp_path / "out")
     assert "expected the split test" in error

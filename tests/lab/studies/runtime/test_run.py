@@ -124,6 +124,15 @@ def test_the_papers_whole_chain_has_a_row(tmp_path: Path) -> None:
     assert paper["parts_ms"].keys() == ours["parts_ms"].keys() == {"CP", "PG", "PC", "OT", "BC"}  # not calibrated
 
 
+def test_what_has_no_effect_on_what_is_measured_is_refused(tmp_path: Path) -> None:
+    arguments = ("experiment", "runtime", shipped_drive(), "--out", tmp_path / "out")
+    assert "--paper-model: expected with --on process" in complaint(
+        *arguments, "--on", "live", "--paper-model", "x.onnx"
+    )
+    assert "--frames: expected with --on live, node or ros2" in complaint(*arguments, "--on", "process", "--frames", 6)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_network_that_does_not_answer_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def silent(*_: object) -> None:
         raise TimeoutError("proposals, beam: expected a beam command within 60 s")

@@ -301,6 +301,10 @@ def _exported(
         )
         return export.settings, export.data_file
     settings = read_export(data)
+    if preset_name is not None:
+        raise ValueError(
+            f"{data}: expected no preset with an export, its boxes are {settings.boxes}, got {preset_name!r}"
+        )
     if not {"train", "val"} <= set(settings.splits):
         raise ValueError(f"{data}: splits: expected train and val to train on, got {', '.join(settings.splits)}")
     return settings, data / DATA_NAME

@@ -287,6 +287,18 @@ class EncoderSpec(SpecModel):
     key_every: Annotated[int, Field(ge=1, le=1000)] = 30
 
 
+UNUSED: dict[str, dict[str, tuple[str, ...]]] = {
+    "electrons": {"imager": SCENE_FIELDS},
+    "scene": {
+        "lens": ("core_px", "vignetting"),
+        "imager": tuple(name for name in ImagerSpec.model_fields if name not in ("model", *SCENE_FIELDS)),
+        "exposure": tuple(ExposureSpec.model_fields),
+        "tone": tuple(ToneSpec.model_fields),
+    },
+}
+"""By the imager's model, the fields of each section that have no effect; an encoder has none with `scene` either."""
+
+
 class CameraProfile(SpecModel):
     """A camera behind a windscreen.
 
@@ -313,6 +325,18 @@ class CameraProfile(SpecModel):
     exposure: ExposureSpec = ExposureSpec()
     tone: ToneSpec = ToneSpec()
     encoder: EncoderSpec | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> CameraProfile:
+        model = self.imager.model
+        for part, names in UNUSED[model].items():
+            given = getattr(self, part)
+            for name in names:
+                if getattr(given, name) != type(given).model_fields[name].default:
+                    raise ValueError(f"{part}.{name}: expected none with imager.model {model}, which does not use it")
+        if model == "scene" and self.encoder is not None:
+            raise ValueError("encoder: expected none with imager.model scene, which does not use it")
+        return self
 
     def scene_sensor(self, sensor: SensorSpec) -> SensorSpec:
         """A scene's own `sensor` in the exposure of this profile."""
@@ -369,8 +393,10 @@ def read_profiles(listed: str) -> tuple[CameraProfile, ...]:
 
 
 def profile_to_toml(profile: CameraProfile) -> str:
-    """`profile` as TOML text with all its fields, which `read_profile` reads back equal; None is left out."""
+    """`profile` as TOML text with all fields that have an effect, which `read_profile` reads back equal; None is left
+    out.
+    """
     fields: dict[str, Any] = profile.model_dump(mode="json", exclude_none=True)
-    if profile.imager.model == "scene":  # its other fields mean nothing
-        fields["imager"] = {name: fields["imager"][name] for name in ("model", *SCENE_FIELDS)}
-    return tomli_w.dumps(fields)
+    for part, names in UNUSED[profile.imager.model].items():
+        fields[part] = {name: value for name, value in fields[part].items() if name not in names}
+    return tomli_w.dumps({name: value for name, value in fields.items() if value != {}})

@@ -11,7 +11,10 @@ from foreglow.command_line import argument, file, flag, folder, listed, option
 from foreglow.options import DeviceOption, PatienceOption, SplitOption, WhiteOption
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from foreglow.datasets import SplitName
+    from foreglow.lab.studies.detector.rows import DetectorPlan
 
 TrainedOption = Annotated[
     Path | None,
@@ -20,6 +23,9 @@ TrainedOption = Annotated[
 YoloOption = Annotated[
     Path | None, file("Folder of a finished `yolo train` for its row, instead of training one.", metavar="RUN")
 ]
+
+YOLO_EPOCHS, YOLO_IMAGE_SIZE_PX = 3, 320
+"""Of `--yolo-epochs` and `--yolo-image-size`, if they are not given."""
 
 
 def command(
@@ -39,8 +45,10 @@ def command(
     epochs_paper: Annotated[int | None, option("N", "At most N epochs of training by recipe paper.", min=1)] = None,
     epochs_ours: Annotated[int | None, option("N", "At most N epochs of training our networks.", min=1)] = None,
     patience: PatienceOption = None,
-    yolo_epochs: Annotated[int, option("N", "Number of epochs of the YOLOs.", min=1)] = 3,
-    yolo_image_size: Annotated[int, option("PX", "Side of the YOLOs' images, a multiple of 32.")] = 320,
+    yolo_epochs: Annotated[int, option("N", "Number of epochs of the YOLOs.", min=1)] = YOLO_EPOCHS,
+    yolo_image_size: Annotated[int, option("PX", "Side of the YOLOs' images, a multiple of 32.")] = (
+        YOLO_IMAGE_SIZE_PX
+    ),
     seed: Annotated[int, option("N", "Seed of the training and the resampling.", min=0)] = 1,
     split: SplitOption = "test",
     device: DeviceOption = "auto",
@@ -81,6 +89,16 @@ def command(
         device=device,
         white_level=white_level,
     )
+    _check_used(
+        plan,
+        {
+            "--epochs-paper": epochs_paper is not None,
+            "--epochs-ours": epochs_ours is not None,
+            "--patience": patience is not None,
+            "--yolo-epochs": yolo_epochs != YOLO_EPOCHS,
+            "--yolo-image-size": yolo_image_size != YOLO_IMAGE_SIZE_PX,
+        },
+    )
     reasons = {name: missing_reason(name, plan) for name in plan.rows}
     if all(reasons.values()):
         name, reason = next(iter(reasons.items()))
@@ -94,3 +112,22 @@ def command(
         results = run_experiment(data, out, plan, progress=show, training=training)
     report = write_report(results, pictures(results, open_labelled(split_folder(data, plan.split))), out)
     typer.echo("\n".join([*beside_paper("detector", out / "results.json"), f"look in {report}"]))
+
+
+def _check_used(plan: DetectorPlan, given: Mapping[str, bool]) -> None:
+    """ValueError if an option about training was given, by its name, and no row is trained that it is about."""
+    from foreglow.lab.studies.detector.rows import ROWS
+
+    trained = [ROWS[name] for name in plan.rows if plan.may_train and name not in plan.given]
+    recipes = {spec.recipe for spec in trained if spec.recipe}
+    has_yolo = plan.with_yolo and any(spec.kind == "yolo" for spec in trained)
+    is_used = {
+        "--epochs-paper": "paper" in recipes,
+        "--epochs-ours": bool(recipes - {"paper"}),
+        "--patience": bool(recipes),
+        "--yolo-epochs": has_yolo,
+        "--yolo-image-size": has_yolo,
+    }
+    for name, is_given in given.items():
+        if is_given and not is_used[name]:
+            raise ValueError(f"{name}: expected with a row that is trained by it, none is")

@@ -47,8 +47,18 @@ class Delays(FrozenModel):
     lamp_s: float = Field(default=0.1, ge=0, le=1)
 
     def known_to(self, config: PipelineConfig) -> PipelineConfig:
-        """`config` with a beam policy, ours where it has none, that knows of the delays."""
-        return config.commanding(latency_s=self.camera_s + self.lamp_s)
+        """`config` with a beam policy, ours where it has none, that knows of the delays.
+
+        Raises:
+            ValueError: If it has another latency, which would have no effect.
+        """
+        sum_s, given_s = self.camera_s + self.lamp_s, config.beam.latency_s
+        if given_s != BeamConfig().latency_s and not math.isclose(given_s, sum_s):
+            raise ValueError(
+                f"beam.latency_s: expected {sum_s:g}, the sum of camera delay and lamp delay, or its default, "
+                f"got {given_s:g}"
+            )
+        return config.commanding(latency_s=sum_s)
 
 
 class Shone(NamedTuple):

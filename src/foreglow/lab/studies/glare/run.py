@@ -86,8 +86,8 @@ class GlarePlan(FrozenModel):
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: If one is broken, is called as another row, or has other headlamps: the light of all rows is
-                computed with those of `config`.
+            ValueError: If one is broken, is called as another row, has a latency other than the delays, or other
+                headlamps: the light of all rows is computed with those of `config`.
         """
         names = [path.stem for path in self.also]
         taken = {*POLICY_ROWS, own_name(config), *(setting.name for setting in settings_of(self.delays))}
@@ -95,7 +95,11 @@ class GlarePlan(FrozenModel):
         for path in self.also:
             if path.stem in taken or names.count(path.stem) > 1:
                 raise ValueError(f"{path}: expected a file that is called unlike any other row, got {path.stem!r}")
-            found[path.stem] = self.delays.known_to(read_config(path, config))
+            own = read_config(path, config)
+            try:
+                found[path.stem] = self.delays.known_to(own)
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from error
             lamps, of_all = found[path.stem].beam.headlamps, config.beam.headlamps
             if lamps != of_all:
                 raise ValueError(f"{path}: beam.headlamps: expected {of_all}, which all cars have, got {lamps}")

@@ -293,7 +293,8 @@ def _detector_words(plan: ReproductionPlan, folder: Path) -> list[object]:
     ]
     for name, path in _detector_models(plan).items():
         words += [ROWS[name].option, path]
-    words += [] if plan.epochs is None else ["--epochs-paper", plan.epochs]
+    is_trained = plan.may_train and not plan.models.keys() >= set(TRAINED)
+    words += ["--epochs-paper", plan.epochs] if plan.epochs is not None and is_trained else []
     words += _camera_words(plan)
     return words if plan.device == "auto" else [*words, "--device", plan.device]
 

@@ -27,6 +27,7 @@ def command(
     """Measure how long before a production system and a human the first vehicle of each sequence is detected."""
     from foreglow.datasets import CategoryConfig, ImageCategory, SplitName, open_labelled, split_in
     from foreglow.datasets.pvdn import is_split
+    from foreglow.datasets.simulated import has_truth
     from foreglow.display.progress import StepProgress
     from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
@@ -49,6 +50,8 @@ def command(
                 f"{dataset.root}: rate_hz: expected at least {LEAST_RATE_HZ:g}, as below it five frames take longer "
                 f"than a human, got {dataset.mean_rate_hz:.3g} by the times of its images"
             )
+    if production_category != CategoryConfig().low_beam_trigger and all(has_truth(each.root) for each in datasets):
+        raise ValueError("--production-category: expected with labels as PVDN's; simulated drives say it themselves")
     categories = CategoryConfig(low_beam_trigger=ImageCategory(production_category))
     with StepProgress() as progress:
         results = run_experiment(datasets, configuration, categories, progress, paper)
