@@ -22,7 +22,7 @@ from foreglow.files import file_digest, read_plain_json, write_json_results
 from foreglow.lab.studies.config_files import files_of
 from foreglow.lab.studies.detector.rows import check_given, given_digest, split_digest
 from foreglow.lab.studies.progress import Progress
-from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, counted_splits
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
@@ -182,11 +182,13 @@ def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
 
 
 def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
-    """Digest of what decides an experiment's results: data, options, models, our version; not the folder, which may be
-    moved.
+    """Digest of what decides an experiment's results: data, options, models, our version; not where files and folders
+    are, which may be moved.
     """
     words = EXPERIMENTS[name].command(plan, out / name)
-    parts = [metadata.version("foreglow"), data_digest, *(str(word).replace(str(out), "") for word in words)]
+    parts: list[Any] = [metadata.version("foreglow"), data_digest]
+    parts += ["" if isinstance(word, Path) else str(word) for word in words]
+    parts += [counted_splits(plan)] if name == "data" else []  # of the other cycle as well
     parts += [split_digest(split_in(word, "test")) for word in words if word in plan.straight]
     given = [word for word in words if isinstance(word, Path) and not word.is_relative_to(out / name)]
     parts += [given_digest(row, path) for row, path in plan.models.items() if path in given]
