@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import sys
 from pathlib import Path
 from typing import Never
 
@@ -246,6 +247,48 @@ def test_drives_of_other_lamps_are_not_added(tmp_path: Path) -> None:
             begin()
     lamps.write_text(lamps.read_text() + "\n")
     with pytest.raises((ValueError, KeyboardInterrupt), match=r"models: expected .*lamps\.toml as it was here before"):
+        begin()
+
+
+POLICY = """
+from helping_beam import LEVEL
+
+class Mine:
+    def __init__(self, config, headlamps): ...
+    def command(self, frame, tracks): ...
+    def shone(self, command): ...
+    def reset(self): ...
+"""
+
+
+@pytest.mark.parametrize("name", ["my_beam", "helping_beam"])
+def test_drives_of_a_policy_as_it_was_are_not_taken_for_those_of_it_now(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who works on a policy repeats the command after each change, and read the figures of the first one."""
+
+    class Stopped(Local):
+        def each(self, *_: object, **__: object) -> Never:
+            raise KeyboardInterrupt
+
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_beam.py").write_text(POLICY)
+    (tmp_path / "helping_beam.py").write_text("LEVEL = 1\n")
+    scenes, car = write_scenes_of(tmp_path / "scenes", scene()), config().commanding(policy="my_beam:Mine")
+
+    def begin() -> None:
+        for module in ("my_beam", "helping_beam"):  # as in a process of its own
+            monkeypatch.delitem(sys.modules, module, raising=False)
+        run_experiment(
+            scenes, car, GlarePlan(quality="fast"), tmp_path / "out", workers=Stopped(), progress=lambda *_: None
+        )
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            begin()
+    path = tmp_path / f"{name}.py"
+    path.write_text(path.read_text() + "# changed\n")
+    with pytest.raises((ValueError, KeyboardInterrupt), match=rf"models: expected module {name} as it was here before"):
         begin()
 
 

@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -109,12 +109,12 @@ def run_experiments(
             f"{out}: --epochs: expected that of the networks trained here, {begun or 'the default'}, got "
             f"{plan.epochs or 'the default'}; name another folder"
         )
-    digest = _data_digest(plan)
+    digest, files = _data_digest(plan), tuple(files_of(plan.config).values())
     for wave in WAVES:
         outer, inner = (workers or Local(), Local()) if len(wave) > 1 else (Local(), workers or Local())
         todo: dict[str, str] = {}
         for name in wave:
-            key = _key(name, plan, out, digest)
+            key = _key(name, plan, out, digest, files)
             before, found = known.get(name, {}), _results_digest(name, out)
             if before.get("key") != key or not found or before.get("results") != found:
                 todo[name] = name
@@ -181,7 +181,7 @@ def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
     return shlex.join(map(str, ("foreglow", *EXPERIMENTS[name].command(plan, out / name))))
 
 
-def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
+def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str, of_config: Sequence[Path]) -> str:
     """Digest of what decides an experiment's results: data, options, models, our version; not where files and folders
     are, which may be moved.
     """
@@ -195,7 +195,7 @@ def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
     files = [model_path(path) for path in given if path not in plan.models.values()]
     if EXPERIMENTS[name].runs_pipeline:
         parts.append(plan.config.model_dump_json())
-        files += files_of(plan.config).values()
+        files += of_config
     parts += [file_digest(file) for file in files if file.is_file()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
