@@ -9,6 +9,9 @@ from foreglow.inputs import named_by
 from foreglow.models import model_path
 from foreglow.plugins import source_files
 
+MODULE = "module "
+"""What the names of modules begin with."""
+
 
 def files_of(config: PipelineConfig) -> dict[str, Path]:
     """By name, the models and lamps of a configuration, and the tables that lamps name, as far as they exist.
@@ -18,5 +21,5 @@ def files_of(config: PipelineConfig) -> dict[str, Path]:
     sections = config.model_dump().values()
     given = {str(each): model_path(each) for fields in sections for each in fields.values() if isinstance(each, Path)}
     texts = {name: path for name, path in given.items() if path.suffix.lower() == ".toml"}
-    modules = {f"module {name}": path for name, path in source_files().items()}
+    modules = {f"{MODULE}{name}": path for name, path in source_files().items()}
     return {name: path for name, path in (given | named_by(texts) | modules).items() if path.is_file()}

@@ -25,6 +25,7 @@ from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.lab.studies.glare.page import summary_lines
 from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
 from foreglow.lab.studies.glare.simulate import Setting, settings_of
+from foreglow.models import BUNDLED, model_path
 from foreglow.parallel import Local
 from foreglow.photometry import NUM_LEDS, Headlamps
 from foreglow.photometry.headlamps import SHIPPED
@@ -248,6 +249,36 @@ def test_drives_of_other_lamps_are_not_added(tmp_path: Path) -> None:
     lamps.write_text(lamps.read_text() + "\n")
     with pytest.raises((ValueError, KeyboardInterrupt), match=r"models: expected .*lamps\.toml as it was here before"):
         begin()
+
+
+@pytest.mark.parametrize("name", ["model.onnx", "lamps.toml", "paper.onnx"])
+def test_a_file_that_changes_while_scenes_are_driven_is_noticed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each scene's drive opens them anew: later ones were of another model than the plan says."""
+    monkeypatch.setattr(driving, "RUN_IN_S", 0.1)
+    path = tmp_path / name
+    if name == "model.onnx":
+        path.write_bytes(model_path(Path(BUNDLED)).read_bytes())
+        car = config().changed("classifier", model=path)
+    else:
+        car = config()
+    if name == "lamps.toml":
+        car = car.commanding(headlamps=Path(shutil.copy(SHIPPED, path)))
+    paper = make_model(path) if name == "paper.onnx" else None
+
+    def meanwhile(number: int, num_done: int, num_all: int) -> None:  # noqa: ARG001
+        if num_done == 1:
+            content = path.read_bytes()  # the name of the program that wrote it, or a comment
+            path.write_bytes(
+                content + b"\n" if path.suffix == ".toml" else content.replace(b"foreglow", b"foreglov", 1)
+            )
+            assert path.read_bytes() != content
+
+    scenes, plan = write_scenes_of(tmp_path, scene(0.1 + 3 / 18)), GlarePlan(quality="fast", paper_model=paper)
+    with pytest.raises(ValueError, match=r"plan\.json: .* while scenes were driven"):
+        run_experiment(scenes, car, plan, tmp_path / "out", progress=meanwhile)
+    assert not list(tmp_path.glob("out/drives/*"))
 
 
 POLICY = """
