@@ -24,7 +24,7 @@ from foreglow.datasets import open_source
 from foreglow.datasets.exchange import read_labels_file
 from foreglow.datasets.pvdn import PVDN
 from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_dbc, read_mapping
-from foreglow.lab.simulation.scenes.scene import read_scene
+from foreglow.lab.simulation.scenes.scene_file import read_scene
 from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.maps import read_poses, read_road_map
 from foreglow.parallel import cluster, workers_at

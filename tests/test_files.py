@@ -42,6 +42,7 @@ from foreglow.whole_files import (
     naming,
     open_atomic,
     put,
+    remove_file,
     together,
     undisturbed,
     write_atomic,
@@ -62,6 +63,30 @@ def _fail_inside(path: Path) -> None:
     with open_atomic(path) as file:
         file.write(b"half of the ne")
         raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_file_goes_when_the_others_appear(tmp_path: Path) -> None:
+    new, old, folder = tmp_path / "new.txt", tmp_path / "old.txt", tmp_path / "folder"
+    old.touch()
+    folder.mkdir()
+
+    @together()
+    def write(*, fails: bool) -> None:
+        remove_file(old)
+        remove_file(folder)  # not a file
+        write_atomic(new, b"new")
+        assert old.exists()
+        if fails:
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        write(fails=True)
+    assert old.exists()
+    write(fails=False)
+    assert {path.name for path in tmp_path.iterdir()} == {"new.txt", "folder"}
+    remove_file(new)
+    remove_file(new)
+    assert not new.exists()
 
 
 def test_several_files_appear_together_or_none_of_them(tmp_path: Path) -> None:

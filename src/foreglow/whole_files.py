@@ -245,11 +245,25 @@ def make_folder(path: Path) -> None:
     path.mkdir(parents=True, exist_ok=True)
 
 
+def remove_file(path: Path) -> None:
+    """Removes a file, if there is one; in a block of `together` at its end, once the others are in their places.
+
+    Raises:
+        OSError: If it cannot be removed; the message names it.
+    """
+    block = _BLOCK.get()
+    if block is not None:
+        block.removed.append(path)
+    elif path.is_file():
+        path.unlink()
+
+
 class _Block:
     """The files of a block of `together`, under their temporary names."""
 
     def __init__(self) -> None:
         self.folders: list[Path] = []
+        self.removed: list[Path] = []
         self._temporaries: dict[Path, Path] = {}
         self._locks: list[int] = []
 
@@ -265,6 +279,9 @@ class _Block:
         for path, temporary in self._temporaries.items():
             with naming(path, in_place_of=temporary):
                 put(temporary, temporary.with_name(path.name), path)
+        for path in self.removed:
+            if path.is_file():
+                path.unlink()
 
     def discard(self) -> None:
         for temporary in self._temporaries.values():

@@ -1,4 +1,4 @@
-"""Words that messages share: a value at a sane length, an exact time, and what was expected of a text."""
+"""Words that messages share: a value at a sane length, an exact time, and what was expected or has no effect."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import re
 import reprlib
 from decimal import Decimal
 from typing import Any, get_args
+
+
+class UnusedWarning(UserWarning):
+    """Something that an input says has no effect; commands show it as a line."""
 
 
 class _Short(reprlib.Repr):

@@ -232,6 +232,20 @@ def test_a_low_beam_that_is_missing_is_told_before_anything_is_made(section: str
     assert words.startswith(f"foreglow: {file}: {section}.low_beam_file: {lamp}: ")
 
 
+def test_another_beam_says_what_of_a_scene_it_leaves_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene went into `scenes.jsonl` with a low beam that was not in the images."""
+    made: list[Scene] = []
+    monkeypatch.setattr("foreglow.cli.simulate._simulate", lambda scenes, *_: made.extend(scenes))
+    path, other = scene_of(tmp_path), scene_of(tmp_path / "other")
+    path.write_text(path.read_text().replace("carpet = 1.0", "carpet = 0.4").replace("stray = 1.0", "stray = 2.0"))
+    command = ("simulate", "--out", tmp_path / "a", "--scene", path, "--scene", other)
+    assert not foreglow(*command, "--ego-beam", "low").stderr
+    said = foreglow(*command, "--ego-beam", "matrix").stderr
+    fields = 'ego.carpet, ego.stray: left out, as only beam = "low" shows it'
+    assert said == f"foreglow: {path}: {fields}, and the beam is matrix here\n"
+    assert [scene.ego.carpet for scene in made] == [0.4, 1.0, 1.0, 1.0]
+
+
 def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(foreglow("simulate", "--print", "crest", "--seed", 5).stdout)

@@ -120,6 +120,11 @@ def test_paths_are_left_out(tmp_path: Path) -> None:
             "<node action='delete' id='a1'",
             r"way a: expected it with all its nodes, \['a1'\] is missing",
         ),
+        (
+            "lat='48.0005' lon='9.0001'",
+            "lat='48.002' lon='9.0001'",
+            "ways c and a: borders: expected a width above 0 and up to 40 m, got ",
+        ),
         ("'lanelet'", "'multipolygon'", "expected at least one lanelet for cars, got none"),
     ],
 )

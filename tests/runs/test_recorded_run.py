@@ -17,6 +17,7 @@ from foreglow.runs.frames_file import frame_to_line, read_gaps, read_results, re
 from foreglow.runs.origin import origin_digest
 from foreglow.runs.predictions import read_predictions
 from foreglow.runs.recorded_run import doubt_about_source, read_run, source_of_run
+from foreglow.runs.summary_file import read_summary
 from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode, Frame, FrameResult, TrackState
 from tests.stand_ins import REFERENCE, night_image, result_of, tracks_of
@@ -307,3 +308,14 @@ def test_edited_frames_are_told_whatever_reads_the_run(
         (tmp_path / "alone").mkdir()
         READERS[name](Path(shutil.copy(path, tmp_path / "alone")))
         READERS[name](path.rename(path.with_name("copy.jsonl")))
+
+
+def test_a_killed_run_is_told(tmp_path: Path) -> None:
+    (tmp_path / "frames.jsonl.partial").touch()
+    words = "expected the folder of a run; frames.jsonl.partial is of a run that was killed: run it again"
+    with pytest.raises(FileNotFoundError, match=rf"^{tmp_path}/frames.jsonl: no such file, {words}$"):
+        read_run(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"run it again$"):
+        read_predictions(tmp_path / "frames.jsonl")
+    with pytest.raises(FileNotFoundError, match=r"run it again$"):
+        read_summary(tmp_path / "summary.json")

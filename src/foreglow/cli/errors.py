@@ -31,6 +31,7 @@ from foreglow.cli.signals import INTERRUPTED
 from foreglow.outputs import exists
 from foreglow.plugins import described, first_line_of, printable, raising, words_of
 from foreglow.whole_files import RemadeWarning, output_words
+from foreglow.wording import UnusedWarning
 
 EXTRAS = {
     **dict.fromkeys(("onnx", "torch", "optuna"), "train"),
@@ -160,7 +161,8 @@ class Commands(TyperGroup):
         if not is_debug:  # what libraries have to say beside their errors
             logging.lastResort = logging.NullHandler()
             warnings.simplefilter("ignore")
-            warnings.simplefilter("always", RemadeWarning)
+            for shown in (RemadeWarning, UnusedWarning):
+                warnings.simplefilter("always", shown)
             warnings.showwarning = _show_warning
         inputs = _inputs([*ctx._protected_args, *ctx.args])
         try:

@@ -55,7 +55,10 @@ def reproduce(
     ] = 6,
     device: DeviceOption = "auto",
 ) -> None:
-    """Put every table, figure and number of the paper beside ours: one page, and the experiments behind it."""
+    """Put every table, figure and number of the paper beside ours: one page, and the experiments behind it.
+
+    Exit code 2 means that an experiment was begun and could not be finished; the page says why, and has all others.
+    """
     from foreglow.display.progress import StepProgress
     from foreglow.files import check_each_once
     from foreglow.lab.reports.figures import require_matplotlib
@@ -90,3 +93,5 @@ def reproduce(
         if outcome.has_failed:
             typer.echo(f"{name} could not be finished: {outcome.reason}", err=True)
     typer.echo("\n".join([*summary_lines(answers(plan, outcomes)), f"look in {report}"]))
+    if any(outcome.has_failed for outcome in outcomes.values()):
+        raise typer.Exit(2)

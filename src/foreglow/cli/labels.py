@@ -14,7 +14,9 @@ from foreglow.own_files import LABELS
 from foreglow.plugins import words_of
 
 if TYPE_CHECKING:
-    from foreglow.datasets.exchange import LabelSet
+    from collections.abc import Sequence
+
+    from foreglow.datasets.exchange.marks import ImageLabels
 
 labels = typer.Typer(no_args_is_help=True, help="Labels to and from CVAT, COCO and Label Studio.")
 app.add_typer(labels, name="labels")
@@ -60,7 +62,7 @@ def export(
     lost = exchange.write_labels_file(out, found, name, is_guess=run is not None)
     if run is not None:
         say_lack(run)
-    typer.echo("\n".join([*lines, _counted(found), *exchange.lost_lines(lost), f"look at {out}"]))
+    typer.echo("\n".join([*lines, _counted(found.images), *exchange.lost_lines(lost), f"look at {out}"]))
 
 
 @labels.command("import")
@@ -74,16 +76,20 @@ def import_(
 ) -> None:
     """Make a data set of labels and their images, which every command takes."""
     from foreglow.datasets import exchange
+    from foreglow.display.summary_lines import left_out_lines
     from foreglow.runs.labels_of_run import origins_of
 
     dataset = exchange.LabelFile(source, images)
     origins = origins_of(dataset)
     exchange.write_split(dataset, out, origins)
-    lines = [_counted(dataset.labels), *exchange.lost_lines(dataset.lost), *dataset.unknown_vehicles]
-    lights = [mark for image in dataset.labels.images for mark in image.marks if mark.kind == exchange.Kind.LIGHT]
+    found = dataset.images_read
+    lines = [_counted(found), *exchange.lost_lines(dataset.lost), *dataset.unknown_vehicles]
+    num_lost_parts = sum(isinstance(key, str) for key in dataset.passed_over)
+    lines += left_out_lines([*dataset.passed_over.values()], num_lost_parts)
+    lights = [mark for image in found for mark in image.marks if mark.kind == exchange.Kind.LIGHT]
     if lights and not any(mark.is_direct for mark in lights):
         lines.append("no light is marked as direct: all of it is learnt as light that lamps throw, and none as a lamp")
-    num_empty = sum(not image.marks for image in dataset.labels.images)
+    num_empty = sum(not image.marks for image in found)
     if num_empty:
         lines.append(_empty_line(num_empty))
     if any(frame != image_id for origin in origins for frame, image_id in origin.ids or ()):
@@ -109,15 +115,15 @@ def _empty_line(num_empty: int) -> str:
     return f"{num_empty} of the images {has} no point: {teach} that nothing in {them} is light of a vehicle"
 
 
-def _counted(found: LabelSet) -> str:
+def _counted(images: Sequence[ImageLabels]) -> str:
     from foreglow.datasets.exchange import Kind
     from foreglow.datasets.exchange.marks import num_outside
     from foreglow.display.summary_lines import counted
 
-    counts = {kind: sum(mark.kind == kind for image in found.images for mark in image.marks) for kind in Kind}
+    counts = {kind: sum(mark.kind == kind for image in images for mark in image.marks) for kind in Kind}
     lights = counted(counts[Kind.LIGHT], "light")
-    outside = sum(map(num_outside, found.images))
-    words = f"{counted(len(found.images), 'image')}, {counted(counts[Kind.VEHICLE], 'vehicle point')}, {lights}"
+    outside = sum(map(num_outside, images))
+    words = f"{counted(len(images), 'image')}, {counted(counts[Kind.VEHICLE], 'vehicle point')}, {lights}"
     words += f", {counts[Kind.DOUBTFUL]} doubtful" if counts[Kind.DOUBTFUL] else ""
     return f"{words}; {counted(outside, 'point')} outside the image" if outside else words
 

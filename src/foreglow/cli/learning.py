@@ -85,12 +85,12 @@ def annotate(
 
 
 def _tell_part(done: Mapping[Path, tuple[int, int]], error: BaseException) -> None:
-    """A line for each split, by its folder, of which not all images are done: how many, and of how many.
+    """A line for each split, by its folder, of which a part of the images is done: how many, and of how many.
 
     On stderr after an interrupt; beside an error, which is the only complaint there, on stdout.
     """
     for root, (num_done, num_all) in done.items():
-        if num_done < num_all:
+        if 0 < num_done < num_all:
             told = f"a part is written, finished sequences with {num_done} of {num_all} images"
             words = f"{root / 'labels' / 'bounding_boxes'}: {told}; the same command continues from there"
             typer.echo(words, err=isinstance(error, KeyboardInterrupt))

@@ -109,7 +109,7 @@ def simulate(
         if len(scene or ()) > 1:
             raise ValueError(f"--preview: expected one --scene, got {len(scene or ())}")
         drawn = _own_scenes(scene) or _usual((simulation.scenario(preview, seed),))
-        scenes = _adapted(_changed(drawn, ego_beam, empty), size or "640x480", fps, cycle)
+        scenes = _adapted(_changed(drawn, ego_beam, empty, scene), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)
     elif out is None:
         raise ValueError("simulate: expected --out DIR, --preview NAME, --print NAME or --print-camera NAME")
@@ -121,7 +121,7 @@ def simulate(
         for number in (1, num_scenes):  # bad options are told after the first scene, as drawing all takes long
             own_split = cast("simulation.Split", split)
             drawn = _own_scenes(scene) or _usual(simulation.draw_scenes(number, seed, own_split, mixture))
-            scenes = _adapted(_changed(drawn, ego_beam, empty), size, fps, used, pair_s)
+            scenes = _adapted(_changed(drawn, ego_beam, empty, scene if number == 1 else None), size, fps, used, pair_s)
             if exposing is not None:
                 exposing.check(scenes)
         if exposing is None:
@@ -156,13 +156,18 @@ def _own_scenes(files: list[Path] | None) -> tuple[Scene, ...]:
     return tuple(read_drivable(file) for file in files or ())
 
 
-def _changed(scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool) -> tuple[Scene, ...]:
-    """The scenes with the beam asked for, and without traffic if asked for."""
+def _changed(
+    scenes: tuple[Scene, ...], ego_beam: str | None, is_empty: bool, files: list[Path] | None = None
+) -> tuple[Scene, ...]:
+    """The scenes with the beam asked for, and without traffic if asked for; warns of what those of `files` lose."""
     from foreglow.lab.simulation import EGO_BEAMS, with_beam, without_traffic
+    from foreglow.lab.simulation.drivable import with_beam_of
 
     if ego_beam is not None:
         if ego_beam not in EGO_BEAMS:
             raise ValueError(f"--ego-beam: expected one of {', '.join(EGO_BEAMS)}, got {ego_beam!r}")
+        if files:
+            scenes = tuple(with_beam_of(scene, ego_beam, file) for scene, file in zip(scenes, files, strict=True))
         scenes = tuple(with_beam(scene, ego_beam) for scene in scenes)
     return tuple(without_traffic(scene) for scene in scenes) if is_empty else scenes
 

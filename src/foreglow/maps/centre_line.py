@@ -211,14 +211,14 @@ def check_length(length_m: float, origin: str) -> None:
         raise ValueError(f"{origin}: length: expected at most {MAX_LINE_M:g} m, got {length_m:g}")
 
 
-def check_width(width_m: float, origin: str) -> None:
+def check_width(width_m: float, origin: str, most_m: float = MAX_WIDTH_M) -> None:
     """Passes the width of a carriageway.
 
     Raises:
-        ValueError: If no road is so wide, or it is NaN; the message begins with `origin`.
+        ValueError: If it is not positive, above `most_m`, or NaN; the message begins with `origin`.
     """
-    if not 0 < width_m <= MAX_WIDTH_M:
-        raise ValueError(f"{origin}: expected a width above 0 and up to {MAX_WIDTH_M:g} m, got {width_m:g}")
+    if not 0 < width_m <= most_m:
+        raise ValueError(f"{origin}: expected a width above 0 and up to {most_m:g} m, got {width_m:g}")
 
 
 def check_points(points_m: Floats, origin: str) -> None:

@@ -34,6 +34,10 @@ from foreglow.maps.xml_file import number_of, read_xml
 DRIVEN_SUBTYPES = frozenset({"road", "highway", "play_street"})
 SIDES = ("left", "right")
 
+MAX_BORDERS_M = 40.0
+"""Greatest mean distance of the borders of a carriageway of one or two lanelets: of a wider one, they do not belong
+together, or one is much longer than the other."""
+
 
 def read_lanelet2(path: Path) -> RoadMap:
     """The carriageways of a Lanelet2 file, whose first node becomes the map's origin.
@@ -164,7 +168,7 @@ def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> Cent
     )  # the second border, in the direction of the points
     cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, 0.1)
     whole = without_repeats(np.column_stack([points, cross_slopes]))
-    check_width(float(widths_m.mean()), f"{origin}: borders")
+    check_width(float(widths_m.mean()), f"{origin}: borders", MAX_BORDERS_M)
     if len(whole) < 2:
         raise ValueError(f"{origin}: expected borders side by side, the middle between them is a single point")
     return CentreLine(whole[:, :3], float(widths_m.mean()) / 2, whole[:, 3])

@@ -88,6 +88,14 @@ class LineSink:
         os.truncate(self._path, num_bytes)
 
 
+def no_run_file(path: Path, expected: str) -> FileNotFoundError:
+    """The error about a file of a run that is not there; it says so if a run there was killed."""
+    left = path.with_name("frames.jsonl.partial")
+    is_killed = left.is_file() and not path.with_name("summary.json").exists()
+    words = f"; {left.name} is of a run that was killed: run it again" if is_killed else ""
+    return FileNotFoundError(f"{path}: no such file, expected {expected}{words}")
+
+
 def read_lines(path: Path, model: type[RootModel[Line]], convert: Callable[[Line], T]) -> dict[int, T]:
     """Reads the file at `path` and gives, by frame, the value that `convert` makes of its line; skips empty lines.
 
@@ -97,7 +105,7 @@ def read_lines(path: Path, model: type[RootModel[Line]], convert: Callable[[Line
             message names the line.
     """
     if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file, expected one that a run wrote")
+        raise no_run_file(path, "one that a run wrote")
     values: dict[int, T] = {}
     for number, text in enumerate(json_files.read_lines(path), start=1):
         if not text.strip():

@@ -22,7 +22,7 @@ from foreglow.files import checked_path
 from foreglow.geometry import Floats
 from foreglow.runs.frame_line import Box, FrameLine, check_per_box
 from foreglow.runs.frames_file import own_threshold, read_frame_lines
-from foreglow.runs.json_lines import Whole, checked
+from foreglow.runs.json_lines import Whole, checked, no_run_file
 from foreglow.types import LIGHT_KINDS
 from foreglow.types.arrays import check_kind, check_numbers
 from foreglow.whole_files import write_atomic
@@ -197,7 +197,7 @@ def read_predictions(path: Path | str) -> Predictions:
     """
     path = checked_path(path, "predictions")
     if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file, expected predictions")
+        raise no_run_file(path, "predictions")
     return _from_lines(path) if path.suffix.lower() == ".jsonl" else _from_published(path)
 
 

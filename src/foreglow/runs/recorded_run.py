@@ -24,6 +24,7 @@ from foreglow.outputs import check_kinds, check_outputs, exists
 from foreglow.own_files import COCO_RESULTS, TABLE, FileKind
 from foreglow.runs.frame_line import FrameLine
 from foreglow.runs.frames_file import line_to_result, read_frame_lines
+from foreglow.runs.json_lines import no_run_file
 from foreglow.runs.origin import origin_digest
 from foreglow.runs.summary_file import SummaryFile, lack_of_run, read_summary
 from foreglow.runs.times_file import read_stage_times
@@ -195,7 +196,7 @@ def read_run(folder: Path | str) -> RecordedRun:
     folder = checked_path(folder, "folder")
     frames = folder / "frames.jsonl"
     if not frames.is_file():
-        raise FileNotFoundError(f"{frames}: no such file, expected the folder of a run")
+        raise no_run_file(frames, "the folder of a run")
     summary = read_summary(folder / "summary.json")
     config = read_config(folder / "config.toml")
     times = read_stage_times(folder / "times.jsonl")

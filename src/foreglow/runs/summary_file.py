@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field, RootModel
 
 from foreglow.datasets.json_files import read_json
 from foreglow.files import fields_to_json, path_from_unicode, path_in_unicode
+from foreglow.runs.json_lines import no_run_file
 
 Count: TypeAlias = Annotated[int, Field(ge=0)]
 
@@ -251,5 +252,7 @@ def read_summary(path: Path) -> SummaryFile:
         FileNotFoundError: If there is no such file.
         ValueError: If it is broken; the message names the field.
     """
+    if not path.exists():
+        raise no_run_file(path, "that of a run")
     summary = read_json(path, RootModel[SummaryFile]).root
     return dataclasses.replace(summary, source=path_from_unicode(summary.source))

@@ -78,6 +78,19 @@ def test_rows(dataset: PVDN, tmp_path: Path) -> None:
     assert (tmp_path / "out/trackers/ours/data/S00001.txt").read_text() == ""
 
 
+@pytest.mark.parametrize(
+    ("endings", "told"), [((".png",) * 3, ".png"), ((".jpg",) * 3, ".jpg"), ((".png", ".JPG", ".JPG"), ".JPG")]
+)
+def test_the_ending_of_the_images(dataset: PVDN, endings: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    path = dataset.root / "labels/image_annotations.json"
+    text = path.read_text()
+    for image_id, ending in zip(IMAGES, endings, strict=True):
+        text = text.replace(f"{image_id:06d}.png", f"{image_id:06d}{ending}")
+    path.write_text(text)
+    export_mot(PVDN(dataset.root), BOXES, followed(0, 0, 0), tmp_path / "out")
+    assert f"\nimExt={told}\n" in (tmp_path / "out/gt/S00003/seqinfo.ini").read_text()
+
+
 def test_a_track_of_doubtful_light_is_left_out(dataset: PVDN, tmp_path: Path) -> None:
     tracks = followed(0, 0, 0)
     tracks[13] = tracks_of([[80, 40, 99, 60], [0, 40, 99, 60], [12, 20, 95, 60]])  # doubtful twice; a light, too

@@ -373,6 +373,21 @@ def test_the_command_tells_that_a_part_is_written(split: Path) -> None:
     assert "a part is written" not in said.output
 
 
+@pytest.mark.parametrize("is_annotated", [False, True])
+def test_a_call_that_finishes_nothing_leaves_all_as_it_was(split: Path, *, is_annotated: bool) -> None:
+    (split / "labels/bounding_boxes").rmdir()
+    if is_annotated:
+        annotate_split(split, PipelineConfig(proposals=ProposalConfig(gap_px=1)))
+    image = min((split / "images").rglob("*.png"))
+    image.rename(image.with_suffix(".kept"))
+    before = {path: path.read_bytes() for path in (split / "labels").rglob("*.*") if path.is_file()}
+    folders = {path for path in (split / "labels").iterdir() if path.is_dir()}
+    said = complaint("annotate", split)
+    assert f"{image}: no such image" in said
+    assert {path: path.read_bytes() for path in (split / "labels").rglob("*.*") if path.is_file()} == before
+    assert {path for path in (split / "labels").iterdir() if path.is_dir()} == folders
+
+
 def test_splits_to_annotate(tmp_path: Path) -> None:
     data = make_night_set(tmp_path, ("train", "val"), num_images=1)
     train, val = data / "night" / "train", data / "night" / "val"

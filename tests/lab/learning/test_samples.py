@@ -349,7 +349,8 @@ def test_a_full_disk_is_named(own: PVDN, tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(np.lib.format, "write_array_header_1_0", fails)
     with pytest.raises(OSError, match="No space left") as caught:
         cached_samples(own, PLAIN, tmp_path / "cache")
-    assert output_words(caught.value) == f"{tmp_path / 'cache'}: No space left on device"
+    named = tmp_path / "cache" / samples_digest(own, PLAIN)[:16] / f"{next(iter(ARRAYS))}.npy"
+    assert output_words(caught.value) == f"{named}: No space left on device"
     assert list((tmp_path / "cache").iterdir()) == []
 
 

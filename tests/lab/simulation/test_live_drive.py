@@ -13,6 +13,7 @@ from foreglow.lab.simulation.live_drive import LiveDrive, open_drive
 from foreglow.photometry import NUM_LEDS
 from foreglow.runtime.live.cameras import CameraOptions
 from foreglow.types import BeamCommand, BeamMode
+from foreglow.wording import UnusedWarning
 
 
 def test_a_scene_in_a_file(tmp_path: Path) -> None:
@@ -23,6 +24,15 @@ def test_a_scene_in_a_file(tmp_path: Path) -> None:
         open_drive(str(path), CameraOptions(quality="best"))
     with pytest.raises(ValueError, match="expected no --seed beside it"):
         open_drive(str(path), CameraOptions(seed=3))
+
+
+def test_a_low_beam_that_the_matrix_lamps_replace_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "night.toml"
+    path.write_text("[ego]\ncarpet = 0.4\nstray = 2.0\n")
+    with pytest.warns(
+        UnusedWarning, match=r"night\.toml: ego\.carpet, ego\.stray: left out, .* the beam is matrix here"
+    ):
+        open_drive(str(path), CameraOptions())
 
 
 @pytest.mark.renderer

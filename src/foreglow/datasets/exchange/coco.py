@@ -18,9 +18,10 @@ from foreglow.datasets.exchange.marks import (
     ImageLabels,
     Kind,
     LabelSet,
+    Lost,
     Mark,
     attributes_of,
-    checked_images,
+    label_set,
     number,
     pixel,
     plain_path,
@@ -99,7 +100,7 @@ def read_coco(path: Path) -> LabelSet:
     _check_ids(file.images, f"{path}: images")
     names = {category.id: category.name for category in file.categories}
     marks: dict[int, list[Mark]] = {image.id: [] for image in file.images}
-    lost: Counter[str] = Counter()
+    lost = Lost()
     ids: set[int] = set()
     for index, annotation in enumerate(file.annotations):
         origin = f"{path}: annotations.{index}"
@@ -113,7 +114,7 @@ def read_coco(path: Path) -> LabelSet:
             raise ValueError(f"{origin}.category_id: expected an id of categories, got {annotation.category_id}")
         name = names[annotation.category_id]
         if name not in set(Kind):
-            lost[f"annotation of the category {shortened(name)}"] += 1
+            lost.add_shape(f"annotation of the category {shortened(name)}")
             continue
         lost.update(unknown_attributes(annotation.attributes, OTHER_ATTRIBUTES))
         fields = (annotation.model_extra or {}).keys() - OTHER_FIELDS
@@ -121,7 +122,7 @@ def read_coco(path: Path) -> LabelSet:
         point = _point(annotation, origin)
         lost["further key point of an annotation"] += max(0, sum(each > 0 for each in annotation.keypoints[2::3]) - 1)
         if point is None:
-            lost["annotation without a key point or a box"] += 1
+            lost.add_shape("annotation without a key point or a box")
         else:
             lost[UNSEEN] += bool(annotation.keypoints) and max(annotation.keypoints[2::3]) <= 0
             given = annotation.attributes
@@ -138,7 +139,7 @@ def read_coco(path: Path) -> LabelSet:
         )
         for index, image in enumerate(file.images)
     )
-    return LabelSet(checked_images(images, path), +lost)
+    return label_set(images, lost, path)
 
 
 def _check_ids(records: Sequence[CocoImage | CocoCategory], origin: str) -> None:

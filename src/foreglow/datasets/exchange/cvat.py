@@ -19,9 +19,10 @@ from foreglow.datasets.exchange.marks import (
     ImageLabels,
     Kind,
     LabelSet,
+    Lost,
     Mark,
     attributes_of,
-    checked_images,
+    label_set,
     number,
     pixel,
     plain_path,
@@ -52,17 +53,17 @@ def read_cvat(path: Path) -> LabelSet:
         ValueError: If it is no such file, or beyond a bound; the message names the element.
     """
     root = read_xml(path, "annotations")
-    lost: Counter[str] = Counter()
+    lost = Lost()
     images = root.findall("image")
     taken = {*ABOUT, "image" if images else "track"}
     lost.update(f"element {shortened(each.tag)}" for each in root if each.tag not in taken)
     if not images:
         return _read_video(root, path, lost)
     found = [_read_image(element, f"{path}: image {index}", lost) for index, element in enumerate(images)]
-    return LabelSet(checked_images(found, path), lost)
+    return label_set(found, lost, path)
 
 
-def _read_image(element: Element, origin: str, lost: Counter[str]) -> ImageLabels:
+def _read_image(element: Element, origin: str, lost: Lost) -> ImageLabels:
     marks: list[Mark] = []
     categories: list[ImageCategory] = []
     for shape in element:
@@ -91,14 +92,14 @@ def _marks(
     label: str | None,
     common: Mapping[str, str],
     origin: str,
-    lost: Counter[str],
+    lost: Lost,
     track_id: str | None = None,
 ) -> Iterator[Mark]:
     """The points of a shape that has this label; `track_id` is the number of its track."""
     if shape.tag not in ("points", "box"):
-        lost[f"shape {shortened(shape.tag)}"] += 1
+        lost.add_shape(f"shape {shortened(shape.tag)}")
     elif label not in set(Kind):
-        lost[f"shape labelled {shortened(label)}"] += 1
+        lost.add_shape(f"shape labelled {shortened(label)}")
     else:
         where = f"{origin}: <{shape.tag}>"
         given = _attributes(shape, where, common)
@@ -145,7 +146,7 @@ def _points(shape: Element, origin: str) -> list[tuple[float, float]]:
         raise ValueError(f"{origin} points: expected x,y;x,y;..., got {shortened(text)}") from None
 
 
-def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
+def _read_video(root: Element, path: Path, lost: Lost) -> LabelSet:
     """Each track is a vehicle or a light; every frame of the task is labelled, and no other.
 
     Where a track goes on and has no shape, the frame is left out: it was deleted in CVAT, or is for interpolation. A
@@ -194,7 +195,7 @@ def _read_video(root: Element, path: Path, lost: Counter[str]) -> LabelSet:
         del marks[frame]
     lost["frame in which a track goes on, but has no shape"] += len(unknown)
     images = (ImageLabels(str(frame), size_px, tuple(found)) for frame, found in marks.items())
-    return LabelSet(checked_images(images, path), +lost, is_video=True)
+    return label_set(images, lost, path, is_video=True)
 
 
 def _frames(root: Element, path: Path) -> range:

@@ -21,9 +21,10 @@ from foreglow.datasets.exchange.marks import (
     ImageLabels,
     Kind,
     LabelSet,
+    Lost,
     Mark,
     attributes_of,
-    checked_images,
+    label_set,
     number,
     pixel,
     plain_path,
@@ -81,7 +82,7 @@ def read_label_studio(path: Path) -> LabelSet:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no such file, or beyond a bound; the message names the field.
     """
-    lost: Counter[str] = Counter()
+    lost = Lost()
     images = []
     for index, task in enumerate(read_json(path, TasksFile).root):
         origin = f"{path}: {index}"
@@ -99,7 +100,7 @@ def read_label_studio(path: Path) -> LabelSet:
             lost["image that nobody has annotated"] += 1
     if not images and lost["image that nobody has annotated"]:
         raise ValueError(f"{path}: expected tasks that somebody has annotated, got predictions or cancelled ones alone")
-    return LabelSet(checked_images(images, path), +lost)
+    return label_set(images, lost, path)
 
 
 def _name_of(data: dict[str, Any], origin: str) -> str:
@@ -117,7 +118,7 @@ def _name_of(data: dict[str, Any], origin: str) -> str:
     return path
 
 
-def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -> ImageLabels:
+def _image(name: str, annotation: Annotation, origin: str, lost: Lost) -> ImageLabels:
     said: dict[str, dict[str, Any]] = {}
     others = set[str]()  # regions of which nothing is taken
     points: dict[str, Region] = {}
@@ -131,7 +132,9 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
                 raise ValueError(f"{origin}: region {shortened(key)}: expected one point or box, got several")
         elif _TYPES.get(region.from_name) != region.type:
             lost[f"region of the type {shortened(region.type)}"] += 1
-            others |= {key} if region.type.endswith("labels") else set()
+            if region.type.endswith("labels"):
+                lost.shapes.add(f"region of the type {shortened(region.type)}")
+                others.add(key)
         elif region.from_name == "category":
             for choice in _texts(region.value.get("choices"), origin):
                 if choice in CATEGORIES:
@@ -152,7 +155,7 @@ def _image(name: str, annotation: Annotation, origin: str, lost: Counter[str]) -
         where = f"{origin}: region {shortened(key)}"
         names = _texts(region.value.get(region.type), where)
         if len(names) != 1 or names[0] not in set(Kind):
-            lost[f"point labelled {shortened(', '.join(names))}"] += 1
+            lost.add_shape(f"point labelled {shortened(', '.join(names))}")
             continue
         if region.original_width is None or region.original_height is None:
             raise ValueError(f"{where}: expected original_width and original_height, got none")

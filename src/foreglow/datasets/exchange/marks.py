@@ -31,6 +31,9 @@ MAX_NUMBER = 2**53
 EARLIER_IMAGE = "earlier image, without labels, beside a labelled one"
 """No tool's file says how much earlier it was."""
 
+MAX_KINDS_NAMED = 3
+"""Kinds of shapes that an error names."""
+
 MAX_KINDS_LOST = 20
 """Different things that a message names as lost; the rest are counted together."""
 
@@ -109,6 +112,40 @@ class LabelSet:
     is_video: bool = False
     origin: str = ""
     gap: str = ""
+
+
+class Lost(Counter[str]):
+    """How much a file has that is not taken, by what it is.
+
+    Attributes:
+        shapes: Which of it are points, boxes and other shapes that somebody has drawn, or annotations of them.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shapes: set[str] = set()
+
+    def add_shape(self, what: str) -> None:
+        """Counts a shape."""
+        self[what] += 1
+        self.shapes.add(what)
+
+
+def label_set(images: Iterable[ImageLabels], lost: Lost, path: object, *, is_video: bool = False) -> LabelSet:
+    """The labels of the file at `path`.
+
+    Raises:
+        ValueError: If an image is there twice, there are none, or too many; or if shapes are drawn, and none is taken,
+            so that all images would count as images without light.
+    """
+    found = checked_images(images, path)
+    if lost.shapes and not any(image.marks for image in found):
+        shapes = [f"{count} x {what}" for what, count in lost.most_common() if what in lost.shapes]
+        got = ", ".join([*shapes[:MAX_KINDS_NAMED], *(["..."] if len(shapes) > MAX_KINDS_NAMED else [])])
+        raise ValueError(
+            f"{path}: expected points or boxes called {', '.join(Kind)}, in small letters, got {got} alone"
+        )
+    return LabelSet(found, +lost, is_video=is_video)
 
 
 def lost_lines(lost: Mapping[str, int]) -> list[str]:

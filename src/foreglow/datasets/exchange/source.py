@@ -7,12 +7,19 @@ import dataclasses
 import functools
 import itertools
 import math
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
 from foreglow.datasets.exchange.files import read_labels_file
+from foreglow.datasets.exchange.image_ids import (
+    frame_number,
+    ids_in_folder,
+    ids_in_video,
+    left_out_frames,
+    named_images,
+    sequences_of,
+)
 from foreglow.datasets.exchange.marks import (
     EARLIER_IMAGE,
     ImageLabels,
@@ -27,11 +34,8 @@ from foreglow.datasets.exchange.marks import (
 from foreglow.datasets.image_folder import (
     MAX_STEP,
     earlier_name,
-    frame_numbers,
     has_earlier,
     is_one_drive,
-    natural_key,
-    number_in,
     steps_in,
 )
 from foreglow.datasets.images import read_coloured_image
@@ -70,12 +74,17 @@ class LabelFile(LabelledSource):
     at PVDN's rate. Where images have no place in their folder, or other places than by their ids, each is a frame later
     than the one before. A frame comes with one of a quarter of a second before, `Frame.earlier`, or the one that the
     split has for it, unless that is labelled, too: a classifier may want to see what was there before, and nobody
-    labels all frames of a drive.
+    labels all frames of a drive. What cannot be read and has no labels is passed over, as a run that skips it does. So
+    is a frame of a video that the file lists without any label, as tools list all of them.
 
     Attributes:
         labels: What the file says.
         folder: The folder of the images; that of the video.
+        passed_over: Lines about what cannot be read and has no labels, by its frame or image, or by itself; all copies
+            share them.
     """
+
+    passed_over: dict[int | Path | str, str]
 
     def __init__(self, path: Path | str, images: Path | str | None = None, *, on_error: OnError = "stop") -> None:
         """Reads the labels.
@@ -94,12 +103,12 @@ class LabelFile(LabelledSource):
         self.root = self.path.parent
         self.labels: LabelSet = read_labels_file(self.path)
         self.folder, self._video = self._images_at(None if images is None else Path(images))
+        self.passed_over = {}
         self._splits: dict[Path, PVDN | None] = {}
         self._ids_in_split: dict[Path, dict[str, int]] = {}
-        named = numbered(self._named())
-        self._images = dict(zip(self._ids([image.name for image in named]), named, strict=True))
+        self._images = self._by_id()
         self._labelled = {self.folder / image.name: id_ for id_, image in self._images.items()}
-        self._sequences = _sequences(self._images, self.path)
+        self._sequences = sequences_of(self._images, self.path)
         self._sequence_of = {id_: each for each in self._sequences for id_ in each.image_ids}
         self.rate_hz = self._rate_hz()
         self._drives = {each.id: self._drive_of(each) for each in self._sequences}
@@ -136,7 +145,7 @@ class LabelFile(LabelledSource):
 
     def _of_video(self, video: Video) -> Iterator[Frame]:
         """The selected frames of a video, each with its earlier one."""
-        wanted = {_frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
+        wanted = {frame_number(self._images[image_id].name): image_id for image_id in self.frame_ids}
         selected = frozenset(wanted)
         recent: list[Frame] = []
         for frame in video:
@@ -147,22 +156,43 @@ class LabelFile(LabelledSource):
                 kept_with_it = next((kept for kept in recent if kept.frame == earlier), None)
                 yield self._checked(frame, wanted.pop(frame.frame), None if earlier in selected else kept_with_it)
             if not wanted:
-                return
+                break
             if not recent or frame.timestamp_ns - recent[-1].timestamp_ns >= EARLIER_STEP_S * 1e9:
                 recent.append(frame)
-        if wanted:
-            raise ValueError(f"{video.path}: expected frame {min(wanted)} as in {self.path}, the video ends before")
+        self._pass_over(video, wanted)
+
+    def _pass_over(self, video: Video, missing: Mapping[int, int]) -> None:
+        """Notes what the latest iteration of a video left out; `missing` are ids of selected images, by their frames.
+
+        Raises:
+            ValueError: If one of them has labels, or is beyond the end of the video; with `skip` and `mark` it is
+                noted as skipped.
+        """
+        left_out = left_out_frames(video)
+        needed = [
+            number
+            for number, image_id in missing.items()
+            if number not in left_out or self._images[image_id].marks or self._images[image_id].categories
+        ]
+        lines = [self._missing(number, left_out) for number in needed]
+        if lines and self.on_error == "stop":
+            raise ValueError(lines[0] + (f"; {len(lines) - 1} more of its frames are missing" if lines[1:] else ""))
+        self.skipped += lines
+        self.passed_over |= {key: line for key, line in left_out.items() if key not in needed}
 
     def read(self, image_id: int) -> Frame:
         """As in `LabelledSource`; of a video, all frames before it are decoded."""
         name = self._image(image_id).name
         if self._video is not None:
-            number = _frame_number(name)
+            number = frame_number(name)
             for frame in self._video:
                 if frame.frame == number:
                     return self._checked(frame, image_id)
-            raise ValueError(self._missing(number))
-        frame = self._at(self.image_path(image_id), self._times_ns[image_id], self._pauses_s[image_id])
+            raise ValueError(self._missing(number, left_out_frames(self._video)))
+        try:
+            frame = self._at(self.image_path(image_id), self._times_ns[image_id], self._pauses_s[image_id])
+        except ValueError as error:
+            raise ValueError(f"{error}; {self.path} has labels of it") from error
         return self._checked(frame, image_id, self._beside(image_id))
 
     def _at(self, path: Path, time_ns: int, pauses_s: float) -> Frame:
@@ -172,19 +202,33 @@ class LabelFile(LabelledSource):
         return Frame(image, time_ns + round(1e9 * pauses_s), path=str(path), red_chroma=chroma)
 
     def _beside(self, image_id: int) -> Frame | None:
-        """The earlier image: the split's, or of those in its folder; None without one, or if it is a selected one."""
+        """The earlier image: the split's, or of those in its folder; None without one, or if it is a selected one.
+
+        Where one cannot be read, it is the next best, as in a run that skips it.
+        """
         time_ns, drive = self._times_ns[image_id], self._drives[self.sequence(image_id).id]
         path = self.image_path(image_id)
         split, ids = self._split_around(path.parent)
         if split is not None and path.name in ids and split.image(ids[path.name]).earlier is not None:
-            return split.read(ids[path.name]).earlier
-        least_ns = time_ns - 2e9 * EARLIER_S
-        earlier = _earlier({each: each for each in drive if least_ns <= each < time_ns}, time_ns)
-        if earlier is None or self._labelled.get(drive[earlier]) in self.frame_ids:
-            return None
-        if not is_one_drive(drive[earlier], drive[time_ns]):
-            return None
-        return self._at(drive[earlier], earlier, self._pauses_s[image_id])
+            with self._passing_over(path.with_name(earlier_name(path.name))):
+                return split.earlier(ids[path.name])
+        times_ns = {each: each for each in drive if time_ns - 2e9 * EARLIER_S <= each < time_ns}
+        while (earlier := _earlier(times_ns, time_ns)) is not None:
+            del times_ns[earlier]
+            if self._labelled.get(drive[earlier]) in self.frame_ids:
+                return None
+            with self._passing_over(drive[earlier]):
+                is_before = is_one_drive(drive[earlier], path)
+                return self._at(drive[earlier], earlier, self._pauses_s[image_id]) if is_before else None
+        return None
+
+    @contextlib.contextmanager
+    def _passing_over(self, path: Path) -> Iterator[None]:
+        """Notes that the image at `path`, which has no labels, cannot be read."""
+        try:
+            yield
+        except (ValueError, FileNotFoundError) as error:
+            self.passed_over[path] = " ".join(str(error).split())
 
     def _drive_of(self, sequence: Sequence) -> dict[int, Path]:
         """By their times in ns, the images in the folder of a sequence.
@@ -259,6 +303,11 @@ class LabelFile(LabelledSource):
         return +Counter({**self.labels.lost, EARLIER_IMAGE: num_earlier})
 
     @property
+    def images_read(self) -> tuple[ImageLabels, ...]:
+        """The labels, without those frames of a video that were `passed_over`."""
+        return tuple(image for id_, image in self._images.items() if id_ not in self.passed_over)
+
+    @property
     def notes(self) -> list[str]:
         """As in `LabelledSource`."""
         return [*lost_lines(self.labels.lost), *self.unknown_vehicles]
@@ -320,8 +369,13 @@ class LabelFile(LabelledSource):
             found |= zip(sequence.image_ids, itertools.accumulate(pauses, initial=0.0), strict=True)
         return found
 
-    def _missing(self, number: int) -> str:
-        return f"{self.image_path(self.frame_ids[0])}: expected frame {number} as in {self.path}, the video ends before"
+    def _missing(self, number: int, left_out: Mapping[int | str, str]) -> str:
+        """Why a frame of the labels did not come, by what was left out of the video."""
+        if number in left_out:
+            return f"{left_out[number]}; {self.path} has labels of it"
+        rest = next(iter(left_out.values()), "")
+        path = self.image_path(self.frame_ids[0])
+        return f"{path}: expected frame {number} as in {self.path}, the video ends before{rest and f'; {rest}'}"
 
     def _image(self, image_id: int) -> ImageLabels:
         if image_id not in self._images:
@@ -350,10 +404,20 @@ class LabelFile(LabelledSource):
         named = dataclasses.replace(frame, frame=image_id, sequence=directory, earlier=earlier)
         return full_scale(named, self.white_level)
 
+    def _by_id(self) -> dict[int, ImageLabels]:
+        """The images by their ids, with numbers for all vehicles and lights."""
+        if self._video is None:
+            named = numbered(named_images(self.labels, self.folder, self.path))
+            ids = ids_in_folder([image.name for image in named], self.folder)
+        else:
+            named = numbered(self.labels.images)
+            ids = ids_in_video([image.name for image in named], self._video.path, self.path)
+        return dict(zip(ids, named, strict=True))
+
     def _images_at(self, given: Path | None) -> tuple[Path, Video | None]:
         """The folder of the images, and the video if they are its frames."""
         if given is not None and given.is_file():
-            return given.parent, Video(given, on_error=self.on_error)
+            return given.parent, Video(given, on_error="mark" if self.on_error == "mark" else "skip")
         if given is not None and not given.is_dir():
             raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
         if given is not None:
@@ -367,82 +431,8 @@ class LabelFile(LabelledSource):
             "says where they are"
         )
 
-    def _ids(self, names: list[str]) -> list[int]:
-        """The images' ids: their frames' numbers, as a run on the same video or folder counts them.
-
-        In folders of folders it is the number that each is called by, where all are; else its place by its name.
-
-        Raises:
-            ValueError: If they are those of a video, and one is no frame's, or there twice.
-        """
-        if self._video is not None:
-            frames_of = [_frame_number(name) for name in names]
-            twice = next((number for number, count in Counter(frames_of).items() if count > 1), None)
-            if twice is not None:
-                raise ValueError(f"{self.path}: expected each frame of {self._video.path} once, {twice} is there twice")
-            return frames_of
-        if (self.folder / names[0]).is_file() and not any("/" in name for name in names):
-            frames = frame_numbers(self.folder)
-            if frames.keys() >= set(names):
-                return [frames[name] for name in names]
-        numbers = [number_in(name) for name in names]
-        known = [number for number in numbers if number is not None]
-        order = sorted(names, key=lambda name: (natural_key(name), name))
-        places = {name: place for place, name in enumerate(order)}
-        return known if len(set(known)) == len(names) else [places[name] for name in names]
-
-    def _named(self) -> tuple[ImageLabels, ...]:
-        """The labels with the names of files; of a video, with the numbers of frames."""
-        images = self.labels.images
-        if self._video is not None or not self.labels.is_video:
-            return images
-        names = list(frame_numbers(self.folder))
-        numbers = [int(image.name) for image in images]
-        if numbers[-1] >= len(names):
-            raise ValueError(
-                f"{self.folder}: expected an image for frame {numbers[-1]} of {self.path}, found {len(names)} images"
-                " (earlier images beside others are no frames)"
-            )
-        return tuple(dataclasses.replace(image, name=names[k]) for k, image in zip(numbers, images, strict=True))
-
 
 def _earlier(times_ns: Mapping[int, int], now_ns: int) -> int | None:
     """The key of the time whose age is nearest to `EARLIER_S`, and at least half of it; None without one."""
     ages_ns = {key: now_ns - time_ns for key, time_ns in times_ns.items() if now_ns - time_ns >= 5e8 * EARLIER_S}
     return min(ages_ns, key=lambda key: abs(ages_ns[key] - 1e9 * EARLIER_S)) if ages_ns else None
-
-
-def _frame_number(name: str) -> int:
-    """The frame of a video that an image is, by its name.
-
-    Raises:
-        ValueError: If the name does not say it.
-    """
-    number = number_in(name)
-    if number is None:
-        raise ValueError(f"{name}: expected the name of a frame, such as frame_000012.png, as the images are a video's")
-    return number
-
-
-def _sequences(images: dict[int, ImageLabels], path: Path) -> tuple[Sequence, ...]:
-    """The sequences: a folder each, called by its name, or by that of the file where the images lie in none."""
-    ids: dict[str, list[int]] = {}
-    for image_id, image in images.items():
-        ids.setdefault(image.name.rpartition("/")[0], []).append(image_id)
-    folders: dict[str, str] = {}  # by the name of the sequence
-    for folder in sorted(ids):
-        name = (folder.replace("/", "_") or re.sub(r"[^\w.-]", "_", path.stem))[:200]
-        others = (f"{name[:190]}_{number}" for number in itertools.count(2))  # a/b and a_b are two drives
-        folders[next(each for each in (name, *itertools.islice(others, len(folders))) if each not in folders)] = folder
-    known = [re.fullmatch("S([0-9]{1,9})", directory) for directory in folders]
-    numbers = {int(found[1]) for found in known if found}
-    is_known = all(known) and len(numbers) == len(ids)
-    return tuple(
-        Sequence.plain(
-            int(directory[1:]) if is_known else index,
-            directory=directory,
-            image_ids=tuple(sorted(ids[folder])),
-            num_images=len(ids[folder]),
-        )
-        for index, (directory, folder) in enumerate(sorted(folders.items()), start=1)
-    )

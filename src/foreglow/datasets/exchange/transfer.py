@@ -135,6 +135,8 @@ def _attributes(sequence: schema.Sequence) -> dict[str, Any]:
 def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collection[int] | None = None) -> LabelSet:
     """The first guess for each frame that a run went over, or for those with the numbers `chosen`.
 
+    A damaged frame has no points: what is in it nobody knows, and an import leaves it out.
+
     Raises:
         ValueError: If the run did not go over a chosen frame, there is no guess at all, or the frames are not those of
             the run.
@@ -143,6 +145,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
     if unknown:
         raise ValueError(f"frames: expected numbers of frames of the run, got {min(unknown)}")
     images: list[ImageLabels] = []
+    lost: Counter[str] = Counter()
     waiting, gap = set(guesses), ""
     for place, frame in enumerate(frames):
         if frame.frame not in waiting:
@@ -159,7 +162,9 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
             known = frame.frame if isinstance(frames, Video) else place + len(frames.skipped)
             if known > len(images) and not gap:
                 gap = f"the run has {len(images)} of the {known} before frame {frame.frame}"
-            images.append(ImageLabels(_name_of(frame, frames), size_px, guess.marks, number=frame.frame))
+            lost["point in a damaged frame"] += len(guess.marks) * frame.is_damaged
+            marks = () if frame.is_damaged else guess.marks
+            images.append(ImageLabels(_name_of(frame, frames), size_px, marks, number=frame.frame))
         if len(images) > MAX_IMAGES:
             raise ValueError(f"{frames.name}: expected at most {MAX_IMAGES} frames, got more")
     if waiting:
@@ -168,7 +173,7 @@ def guesses_of(frames: FrameSource, guesses: Mapping[int, Guess], chosen: Collec
     if not images:
         raise ValueError(f"{frames.name}: expected frames of the run, found none")
     origin = str(origin_of(frames) or frames.name)
-    return LabelSet(tuple(images), is_video=isinstance(frames, Video), origin=origin, gap=gap)
+    return LabelSet(tuple(images), +lost, is_video=isinstance(frames, Video), origin=origin, gap=gap)
 
 
 def _name_of(frame: Frame, frames: FrameSource) -> str:
@@ -238,6 +243,8 @@ def write_split(dataset: LabelledSource, root: Path | str, origins: Sequence[Ori
         shutil.rmtree(hidden, ignore_errors=True)  # of a run that was killed
         try:
             num_images = _write_sequences(dataset, hidden, root, origins)
+            if not num_images:
+                raise ValueError(f"{dataset.origin}: expected at least one labelled image that can be read, found none")
             for part in ("images", "labels"):
                 _remove_empty(root / part)
                 (hidden / part).rename(root / part)

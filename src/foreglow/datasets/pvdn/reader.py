@@ -154,11 +154,16 @@ class PVDN(LabelledSource):
         """As in `LabelledSource`."""
         self._check_exists(image_id)
         frame = equip(self._frame(image_id, self.image_path(image_id), 0.0), self._vehicle)
-        earlier = self._earlier(image_id)
+        earlier = self.earlier(image_id)
         return frame if earlier is None else dataclasses.replace(frame, earlier=earlier)
 
-    def _earlier(self, image_id: int) -> Frame | None:
-        """`Frame.earlier` of image `image_id`, with its number."""
+    def earlier(self, image_id: int) -> Frame | None:
+        """`Frame.earlier` of image `image_id`, with its number; None without one.
+
+        Raises:
+            FileNotFoundError: If its file is missing.
+            ValueError: If there is no such id, or the earlier image is broken or of another size.
+        """
         known = self.image(image_id).earlier
         if known is None:
             return None

@@ -4,6 +4,8 @@ that ships with the package: simulated, in this layout, with labels, calibration
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -56,6 +58,19 @@ def split_in(data: Path | str, name: SplitName) -> Path:
     """
     check_one_of(name, SplitName, "split")
     return Path(data) if is_split(Path(data)) else split_folder(data, name)
+
+
+def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dict[SplitName, Path]:
+    """The folders of those of the named splits of `data` that exist.
+
+    Raises:
+        ValueError: If a name fits several folders.
+    """
+    found: dict[SplitName, Path] = {}
+    for name in names:
+        with contextlib.suppress(FileNotFoundError):
+            found[name] = split_folder(data, name)
+    return found
 
 
 def is_split(folder: Path | str) -> bool:

@@ -1,7 +1,8 @@
 """Tracks and labelled lights as MOTChallenge files, and HOTA, IDF1 and CLEAR of them by TrackEval.
 
     DIR/gt/S00001/gt/gt.txt           the labelled lights: frame, id, x, y, width, height, 1, 1, 1
-    DIR/gt/S00001/seqinfo.ini         name, length, rate and size of the sequence
+    DIR/gt/S00001/seqinfo.ini         name, length, rate and size of the sequence, and its images' ending, or that of
+                                      most, since the format has one
     DIR/checksums.json                by which files that were changed since are known
     DIR/trackers/NAME/data/S00001.txt the plausible tracks: frame, id, x, y, width, height, confidence, -1, -1, -1
 
@@ -229,7 +230,9 @@ def _extent(box: Iterable[float]) -> str:
 
 def _sequence_info(dataset: LabelledSource, sequence: Sequence) -> str:
     image = dataset.image(min(sequence.image_ids))
+    endings = Counter(Path(dataset.image(image_id).file_name).suffix for image_id in sorted(sequence.image_ids))
+    ending = endings.most_common(1)[0][0]  # the format has one; tools look for all images of a sequence by it
     return (
         f"[Sequence]\nname={sequence.directory}\nimDir=images\nframeRate={dataset.mean_rate_hz:g}\n"
-        f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt=.png\n"
+        f"seqLength={len(sequence.image_ids)}\nimWidth={image.width_px}\nimHeight={image.height_px}\nimExt={ending}\n"
     )

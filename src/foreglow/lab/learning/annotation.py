@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import itertools
 import math
@@ -24,7 +23,7 @@ from foreglow.datasets import PVDN, LabelledSource, split_folder
 from foreglow.datasets.json_files import json_bytes, read_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
-from foreglow.datasets.pvdn.splits import SPLIT_NAMES, SplitName
+from foreglow.datasets.pvdn.splits import SPLIT_NAMES, existing_splits
 from foreglow.files import to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
@@ -182,19 +181,6 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
     return tuple(found.values())
 
 
-def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dict[SplitName, Path]:
-    """The folders of those of the named splits of `data` that exist.
-
-    Raises:
-        ValueError: If a name fits several folders.
-    """
-    found: dict[SplitName, Path] = {}
-    for name in names:
-        with contextlib.suppress(FileNotFoundError):
-            found[name] = split_folder(data, name)
-    return found
-
-
 def annotate_split(
     root: Path | str,
     config: PipelineConfig,
@@ -287,7 +273,6 @@ def _annotated(
     path = folder.with_name(RECORD_NAME)
     earlier = _record_in(path)
     checksums = _own_boxes(dataset, earlier)
-    folder.mkdir(parents=True, exist_ok=True)
     parameters = config.proposals.model_dump(exclude_none=True, exclude={"backend", "dispatch"})
     parameters = {name: list(value) if isinstance(value, tuple) else value for name, value in parameters.items()}
     white_level = config.guard.white_level
@@ -298,23 +283,29 @@ def _annotated(
     directories = [sequence.directory for sequence in dataset.sequences]
     todo = {directory: directory for directory in directories if directory not in done}
     work = functools.partial(_annotate_sequence, dataset.root, config.proposals, white_level, uuid.uuid4().hex)
-    write_atomic(folder.with_name(CHECKSUMS), checksums_file(checksums, folder.parent))
     made = (workers or Local()).each(work, todo, lambda *_: None, paths=(dataset.root,))
-    for directory, finished in itertools.chain([("", None)], made):
-        if finished is not None:
-            done[directory], files = finished
-            written = {name: zlib.crc32(data) for name, data in files.items()}
-            announce(folder.parent, written)
-            for name, data in files.items():
-                write_atomic(folder.parent / name, data)
-            checksums |= written
-        record = record.model_copy(update={"sequences": tuple(done[each] for each in directories if each in done)})
-        write_atomic(path, _toml(record))
+
+    def part() -> _Record:
+        return record.model_copy(update={"sequences": tuple(done[each] for each in directories if each in done)})
+
+    tell(dataset.name, sum(each.num_images for each in done.values()), len(dataset))
+    for index, (directory, (finished, files)) in enumerate(made):
+        if not index:  # until there is something new, all stays as it is
+            folder.mkdir(exist_ok=True)
+            write_atomic(folder.with_name(CHECKSUMS), checksums_file(checksums, folder.parent))
+            write_atomic(path, _toml(part()))
+        done[directory] = finished
+        written = {name: zlib.crc32(data) for name, data in files.items()}
+        announce(folder.parent, written)
+        for name, data in files.items():
+            write_atomic(folder.parent / name, data)
+        checksums |= written
+        write_atomic(path, _toml(part()))
         tell(dataset.name, sum(each.num_images for each in done.values()), len(dataset))
     write_atomic(folder.with_name(CHECKSUMS), checksums_file(checksums, folder.parent))
-    write_atomic(path, _toml(record.model_copy(update={"is_complete": True})))
+    write_atomic(path, _toml(part().model_copy(update={"is_complete": True})))
     totals = {
-        name: sum(getattr(sequence, name) for sequence in record.sequences)
+        name: sum(getattr(sequence, name) for sequence in part().sequences)
         for name in ("num_images", "num_boxes", "num_positive", "num_ignored")
     }
     outside = (num_outside(dataset.image(each), dataset.keypoints_px(each).tolist()) for each in dataset.frame_ids)

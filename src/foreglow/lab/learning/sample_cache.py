@@ -67,13 +67,13 @@ def cached_samples(
     partial.mkdir()
     writing = FolderLock(partial)
     try:
-        num_samples = _write(partial, samples_by_image(dataset, config, progress), no_samples(config.inputs))
+        num_samples = _write(partial, folder, samples_by_image(dataset, config, progress), no_samples(config.inputs))
         if samples_digest(dataset, config) != digest:
             words = "expected the images and labels as they were when their samples were begun, one has changed since"
             raise ValueError(f"{dataset.root}: {words}; repeat the command")
         about = {"digest": digest, "data": str(dataset.root), "num_samples": num_samples, "format": FORMAT}
         about |= {"config": config.model_dump(mode="json"), "checksums": _checksums(partial)}
-        with naming(partial / _DONE):
+        with naming(folder / _DONE):
             (partial / _DONE).write_text(json.dumps(about, indent=2) + "\n")
         if _read(folder, digest) is None:  # or else another training has made the same meanwhile
             shutil.rmtree(folder, ignore_errors=True)
@@ -137,23 +137,28 @@ def _code_digest() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
-def _write(folder: Path, parts: Iterator[Samples], empty: Samples) -> int:
-    """Writes all parts, with one file for each array; returns the number of samples."""
+def _write(folder: Path, home: Path, parts: Iterator[Samples], empty: Samples) -> int:
+    """Writes all parts, with one file for each array; returns the number of samples.
+
+    Errors name the files as they are to be called, in the folder `home`.
+    """
     files = {name: (folder / f"{name}.npy").open("wb") for name in ARRAYS}
     try:
         for name, file in files.items():
-            _write_header(file, getattr(empty, name), 0)
+            with naming(home / f"{name}.npy"):
+                _write_header(file, getattr(empty, name), 0)
         num_samples = 0
         for part in parts:
             num_samples += len(part)
             for name, file in files.items():
-                with naming(Path(file.name)):
+                with naming(home / f"{name}.npy"):
                     file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
         for name, file in files.items():
-            _write_header(file, getattr(empty, name), num_samples)
+            with naming(home / f"{name}.npy"):
+                _write_header(file, getattr(empty, name), num_samples)
     finally:
-        for file in files.values():
-            with naming(Path(file.name)):
+        for name, file in files.items():
+            with naming(home / f"{name}.npy"):
                 file.close()
     return num_samples
 
@@ -161,9 +166,8 @@ def _write(folder: Path, parts: Iterator[Samples], empty: Samples) -> int:
 def _write_header(file: BinaryIO, empty: np.ndarray[Any, Any], num_samples: int) -> None:
     """Writes the header of a .npy file of `num_samples` rows; NumPy leaves room in it for the first axis to grow."""
     header = {"descr": empty.dtype.str, "fortran_order": False, "shape": (num_samples, *empty.shape[1:])}
-    with naming(Path(file.name)):
-        file.seek(0)
-        np.lib.format.write_array_header_1_0(file, header)
+    file.seek(0)
+    np.lib.format.write_array_header_1_0(file, header)
 
 
 def _checksums(folder: Path) -> dict[str, int]:

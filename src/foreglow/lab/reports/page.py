@@ -18,7 +18,7 @@ from foreglow.files import in_unicode, to_json, write_json_results
 from foreglow.outputs import running_command
 from foreglow.own_folders import REPORT_SUFFIXES
 from foreglow.provenance import provenance
-from foreglow.whole_files import make_folder, together, write_atomic
+from foreglow.whole_files import make_folder, remove_file, together, write_atomic
 
 DASH = "–"
 
@@ -246,6 +246,7 @@ class Page:
         results: Any = None,
         made_with: Mapping[str, Any] | None = None,
         files: Mapping[str, bytes | str] | None = None,
+        earlier: Iterable[str] = (),
     ) -> Path:
         """Writes the page and, into the same folder, which is made if need be, all that belongs beside it, or nothing.
 
@@ -254,6 +255,7 @@ class Page:
             results: What goes into `results.json` as `to_json` has it, with the program that made it.
             made_with: What else to say there of how the results were made, such as the seed.
             files: Other files by name.
+            earlier: Names of files that a page there before may have had, which go unless they are written now.
 
         Returns:
             `path`.
@@ -271,6 +273,8 @@ class Page:
                 write_json_results(path.parent / "results.json", record)
             for name, data in written.items():
                 write_atomic(path.parent / name, data.encode() if isinstance(data, str) else data)
+            for name in set(earlier) - written.keys():
+                remove_file(path.parent / name)
         return path
 
     def files(self, name: str) -> dict[str, bytes]:

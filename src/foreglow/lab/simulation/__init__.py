@@ -31,7 +31,8 @@ if TYPE_CHECKING:
         with_beam,
         without_traffic,
     )
-    from foreglow.lab.simulation.scenes.scene import EGO_BEAMS, EgoBeam, LabelRule, Scene, read_scene, scene_to_toml
+    from foreglow.lab.simulation.scenes.scene import EGO_BEAMS, EgoBeam, LabelRule, Scene
+    from foreglow.lab.simulation.scenes.scene_file import read_scene, scene_to_toml
     from foreglow.lab.simulation.writing.dataset import (
         DatasetConfig,
         DatasetSummary,
@@ -73,7 +74,8 @@ _NAMES = {
     "drive": "Drive drive_exposures drive_frames side_by_side simulate",
     "drive_frame": "DriveFrame",
     "scenes.scenarios": "SCENARIOS Split adapted draw_scenes long_drives resized scenario with_beam without_traffic",
-    "scenes.scene": "EGO_BEAMS EgoBeam LabelRule Scene read_scene scene_to_toml",
+    "scenes.scene": "EGO_BEAMS EgoBeam LabelRule Scene",
+    "scenes.scene_file": "read_scene scene_to_toml",
     "writing.dataset": "DatasetConfig DatasetSummary Target simulate_dataset simulate_datasets",
 }
 """The names by the module that they are imported from."""

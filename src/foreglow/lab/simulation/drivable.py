@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
-from foreglow.lab.simulation.scenes.scene import Scene, read_scene
+from foreglow.lab.simulation.scenes.lamp_files import lamp_files
+from foreglow.lab.simulation.scenes.scenarios import with_beam
+from foreglow.lab.simulation.scenes.scene import EgoBeam, Scene
+from foreglow.lab.simulation.scenes.scene_file import read_scene
 from foreglow.lab.simulation.world.road import interpolated
 from foreglow.lab.simulation.writing.street_data import check_ego_on_map
 from foreglow.photometry import read_ies
+from foreglow.wording import UnusedWarning
 
 
 def read_drivable(path: Path) -> Scene:
@@ -33,12 +38,24 @@ def read_drivable(path: Path) -> Scene:
     return scene
 
 
+def with_beam_of(scene: Scene, beam: EgoBeam, path: Path) -> Scene:
+    """As `with_beam`, with a warning if the scene at `path` says of our low beam what is not seen with `beam`.
+
+    Raises:
+        ValueError: If there is no such beam.
+    """
+    changed = with_beam(scene, beam)
+    lost = [name for name in scene.ego.changed_low_beam if name not in changed.ego.changed_low_beam]
+    if lost:
+        fields = ", ".join(f"ego.{name}" for name in lost)
+        words = f'{path}: {fields}: left out, as only beam = "low" shows it, and the beam is {beam} here'
+        warnings.warn(UnusedWarning(words), stacklevel=2)
+    return changed
+
+
 def _check_low_beams(scene: Scene, path: Path) -> None:
-    fields = {"ego": scene.ego.low_beam_file}
-    fields |= {f"vehicles.{index}": vehicle.low_beam_file for index, vehicle in enumerate(scene.vehicles)}
-    for field, file in fields.items():
-        if file is not None:
-            try:
-                read_ies(Path(file))
-            except (OSError, ValueError) as error:
-                raise ValueError(f"{path}: {field}.low_beam_file: {error}") from error
+    for field, file in lamp_files(scene).items():
+        try:
+            read_ies(file)
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{path}: {field}: {error}") from error

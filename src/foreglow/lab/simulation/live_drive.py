@@ -9,7 +9,7 @@ from pathlib import Path
 
 from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver
-from foreglow.lab.simulation.drivable import read_drivable
+from foreglow.lab.simulation.drivable import read_drivable, with_beam_of
 from foreglow.lab.simulation.drive import Drive
 from foreglow.lab.simulation.scenes.scenarios import scenario, with_beam
 from foreglow.lab.simulation.scenes.scene import Scene
@@ -32,7 +32,8 @@ def open_drive(name: str, options: CameraOptions) -> LiveDrive:
     if name.endswith(".toml"):
         if options.seed:
             raise ValueError(f"{name}: expected no --seed beside it: a scene has one itself")
-        return LiveDrive(read_drivable(Path(name)), options.quality)
+        scene = with_beam_of(read_drivable(Path(name)), "matrix", Path(name))
+        return LiveDrive(scene, options.quality)
     if "/" in name or exists(Path(name)):
         raise ValueError(f"{name}: expected a scene, a file whose name ends with .toml, or the name of a scenario")
     return LiveDrive(scenario(name, options.seed), options.quality)

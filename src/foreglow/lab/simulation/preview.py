@@ -14,7 +14,8 @@ from foreglow.display.tone import Tone
 from foreglow.display.video import Movie
 from foreglow.files import read_toml
 from foreglow.lab.simulation.drive_frame import DriveFrame
-from foreglow.lab.simulation.scenes.scene import Scene, scene_to_toml
+from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.lab.simulation.scenes.scene_file import scene_to_toml
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.own_folders import check_made_together, check_new
 from foreglow.whole_files import atomic_path, together, write_atomic

@@ -187,6 +187,15 @@ def test_another_beam_changes_nothing_else() -> None:
     assert with_beam(changed, "low") == scene
 
 
+@pytest.mark.usefixtures("first_plans")
+def test_only_drives_with_low_beam_have_an_old_one() -> None:
+    """Scenes with the matrix beam said that they had one, which is not in their images."""
+    changed = {"low": 0, "matrix": 0}
+    for scene in draw_scenes(80, 7, mixture="standard"):
+        changed[scene.ego.beam] += bool(scene.ego.changed_low_beam)
+    assert changed["low"] > 0 == changed["matrix"]
+
+
 def test_without_traffic_dark_cars_stay() -> None:
     scene = fifty()[0]
     parked = VehicleSpec(timetable=((0.0, 50.0), (10.0, 50.0)), beam="off")

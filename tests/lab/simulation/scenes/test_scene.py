@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from foreglow.lab.simulation.scenes.scenarios import SCENARIOS, scenario
-from foreglow.lab.simulation.scenes.scene import Scene, read_scene, scene_to_toml
+from foreglow.lab.simulation.scenes.scene import LOW_BEAM_FIELDS, EgoBeam, EgoSpec, Scene
+from foreglow.lab.simulation.scenes.scene_file import read_scene, scene_to_toml
 
 
 @pytest.mark.slow
@@ -37,7 +38,21 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
         ("[camera]\ndistortion = [-3.0, 0.0, 0.0, 0.0, 0.0]\n", "camera.distortion: expected one that can be undone"),
         ("[camera]\ndistortion = [0.0, 1e7, 0.0, 0.0, 0.0]\n", "camera.distortion.1: .*less than or equal to"),
         ("[road]\ncurvature_per_m = [[0.0, 0.2]]\n", "radii of at least 20 m, got 5.0 m"),
-        ('[[vehicles]]\nlane = "branch"\n', "side road below 0, got 0"),
+        (
+            '[[vehicles]]\nlane = "branch"\n',
+            r"vehicles\.0\.lane: expected .*, as there is no side road in road\.branches",
+        ),
+        (
+            '[ego]\nbeam = "matrix"\nlow_beam_file = "l.ies"\n',
+            r'ego\.low_beam_file: expected only with beam = "low": the m',
+        ),
+        ('[ego]\nbeam = "matrix"\ncarpet = 0.4\n', r'ego\.carpet: .* own, got 0\.4 with beam = "matrix"'),
+        ('[ego]\nbeam = "high"\nstray = 3.0\n', r'ego\.stray: expected only with beam = "low": the high beam'),
+        (
+            '[[vehicles]]\nbeam = "high"\nlow_beam_file = "l.ies"\n',
+            r"vehicles\.0\.low_beam_file: expected only with beam = \"low\" .*, got 'l\.ies' with beam = \"high\"",
+        ),
+        ('[[vehicles]]\nkind = "bicycle"\nlow_beam_file = "l.ies"\n', r"vehicles\.0\.low_beam_file: .* a bicycle"),
         ("[road\n", "expected TOML"),
         ("[surroundings]\nrails = [{side = 'up', span_m = [1.0, 2.0]}]\n", "surroundings.rails.0.side"),
         (
@@ -62,6 +77,33 @@ def test_errors_name_file_and_field(text: str, message: str, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=message) as error:
         read_scene(path)
     assert str(path) in str(error.value)
+
+
+def test_files_of_a_scene_are_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They were looked for in the working directory, and not found again from another one."""
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    path = folder / "scene.toml"
+    path.write_text(
+        f'[ego]\nlow_beam_file = "lamps/l.ies"\n[[vehicles]]\nlow_beam_file = "{tmp_path}/m.ies"\n[[vehicles]]\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    for name in (path, Path("scenes/scene.toml")):
+        scene = read_scene(name)
+        assert scene.ego.low_beam_file == str(folder / "lamps/l.ies")
+        assert [vehicle.low_beam_file for vehicle in scene.vehicles] == [f"{tmp_path}/m.ies", None]
+    other = tmp_path / "other.toml"
+    other.write_text(scene_to_toml(scene))
+    assert read_scene(other) == scene
+
+
+@pytest.mark.parametrize("beam", ["matrix", "high"])
+def test_scenes_of_before_may_change_a_low_beam_that_does_not_shine(beam: EgoBeam) -> None:
+    ego = EgoSpec(beam=beam, low_beam_file="l.ies", carpet=0.4, stray=2.0)
+    assert EgoSpec.model_validate_json(ego.model_dump_json()) == ego
+    assert ego.changed_low_beam == LOW_BEAM_FIELDS
+    assert ego.with_beam(beam) == EgoSpec(beam=beam)
+    assert ego.with_beam("low") == ego.model_copy(update={"beam": "low"})
 
 
 def test_missing_file() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -61,6 +62,17 @@ def test_a_line_for_each_light(results: DistanceResults, report: Path) -> None:
 
 def test_the_same_results_give_the_same_files(results: DistanceResults, report: Path, tmp_path: Path) -> None:
     assert write_report(results, tmp_path).read_bytes() == report.read_bytes()
+
+
+def test_what_is_not_made_again_goes_with_the_report_before(results: DistanceResults, tmp_path: Path) -> None:
+    """Figures of other methods stayed beside the new report."""
+    stale, mine = ("heuristics_psd_3d.png", "lidar.jpg"), ("heuristics_mine.png", "notes.txt")
+    for name in (*stale, *mine):
+        (tmp_path / name).touch()
+    write_report(dataclasses.replace(results, example=None), tmp_path)
+    there = {path.name for path in tmp_path.iterdir()}
+    assert there.isdisjoint(stale)
+    assert there >= {*mine, "heuristics_gp.png"}
 
 
 def test_the_headline_stands_beside_the_paper(results: DistanceResults) -> None:

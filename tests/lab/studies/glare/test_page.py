@@ -63,6 +63,34 @@ def test_the_folder(folder: Path, results: GlareResults) -> None:
     assert "Against other limits: UN R123" in page
 
 
+def test_short_times_in_sight_have_a_decimal(results: GlareResults, tmp_path: Path) -> None:
+    """ "0 s in sight" stood over glare."""
+    first = results.policies[0]
+    bins = tuple(
+        dataclasses.replace(part, glare=dataclasses.replace(part.glare, in_sight_s=0.22))
+        for part in first.oncoming.bins
+    )
+    short = dataclasses.replace(first, oncoming=dataclasses.replace(first.oncoming, bins=bins))
+    page = write(dataclasses.replace(results, policies=(short, *results.policies[1:])), tmp_path).read_text()
+    assert f"{bins[0].name} (0.2 s)" in page
+    assert "(0 s)" not in page
+
+
+def test_figures_of_drives_that_are_not_shown_any_more_go(results: GlareResults, tmp_path: Path) -> None:
+    """With more scenes, others are the typical ones."""
+    write(results, tmp_path)
+    (tmp_path / "lux_mine.png").touch()
+    write_report(results, [DRIVES[1]], tmp_path)
+    names = {path.name for path in tmp_path.glob("lux_*")} | {path.name for path in tmp_path.glob("corridor_*")}
+    assert names == {"lux_approach_01.png", "corridor_approach_01.png", "lux_mine.png"}
+
+
+def test_remarks_are_at_the_beginning(results: GlareResults, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    page = write_report(results, (), folder, remarks=["Another low beam."]).read_text()
+    assert page.index("Another low beam.") < page.index("<h2>")
+
+
 def test_the_readme_figure_is_as_wide_as_its_column(folder: Path) -> None:
     width, _ = struct.unpack(">II", (folder / "readme.png").read_bytes()[16:24])
     assert width == round(README_WIDTH_IN * DPI) == 900

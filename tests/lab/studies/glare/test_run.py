@@ -17,13 +17,13 @@ from foreglow.config import BeamConfig, PipelineConfig, preset
 from foreglow.files import to_json
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
 from foreglow.lab.simulation import Scene, long_drives, without_traffic
-from foreglow.lab.simulation.scenes.scene import VehicleSpec
+from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
 from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.lab.studies.glare.page import summary_lines
-from foreglow.lab.studies.glare.run import GlarePlan, named_scenes, run_experiment
+from foreglow.lab.studies.glare.run import GlarePlan, NamedScene, named_scenes, remarks_on, run_experiment
 from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.models import BUNDLED, model_path
 from foreglow.parallel import Local
@@ -55,7 +55,9 @@ def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
 def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_in_s = 0.5
     monkeypatch.setattr(driving, "RUN_IN_S", run_in_s)
-    scenes = write_scenes_of(tmp_path, scene(run_in_s + 4 / 18))
+    driven = scene(run_in_s + 4 / 18)
+    old_lamps = driven.ego.model_copy(update={"carpet": 0.4})
+    scenes = write_scenes_of(tmp_path, driven.model_copy(update={"ego": old_lamps}))
     plan, out = GlarePlan(num_empty=1, quality="fast"), tmp_path / "out"
     told: list[tuple[int, int, int]] = []
     experiment = run_experiment(scenes, config(), plan, out, progress=lambda *one: told.append(one))
@@ -63,6 +65,9 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pyte
         "low", "high", "production", "paper", "foreglow", "oracle",
     ]  # fmt: skip
     assert len(experiment.results.sensitivity) == len(settings_of(plan.delays))
+    assert [line[:60] for line in experiment.remarks] == [
+        "The scenes of 2 of 2 drives (S00001, S00001-empty) have a lo"
+    ]
     drive = read_glare_drive(out / "drives" / "S00001.npz")
     assert drive.times_s[0] >= run_in_s
     assert {eye.is_oncoming for eye in drive.eyes} == {True, False}
@@ -249,6 +254,46 @@ def test_drives_of_other_lamps_are_not_added(tmp_path: Path) -> None:
     lamps.write_text(lamps.read_text() + "\n")
     with pytest.raises((ValueError, KeyboardInterrupt), match=r"models: expected .*lamps\.toml as it was here before"):
         begin()
+
+
+def test_drives_with_other_lamps_of_vehicles_are_not_added(tmp_path: Path) -> None:
+    class Stopped(Local):
+        def each(self, *_: object, **__: object) -> Never:
+            raise KeyboardInterrupt
+
+    lamp, out = tmp_path / "l.ies", tmp_path / "out"
+    lamp.write_text("one")
+    first, *others = scene().vehicles
+    vehicles = (first.model_copy(update={"low_beam_file": str(lamp)}), *others)
+    ego = scene().ego.model_copy(update={"low_beam_file": "nowhere.ies"})  # is not used here
+    scenes = write_scenes_of(tmp_path, scene().model_copy(update={"vehicles": vehicles, "ego": ego}))
+
+    def begin() -> None:
+        run_experiment(scenes, config(), GlarePlan(quality="fast"), out, workers=Stopped(), progress=lambda *_: None)
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            begin()
+    lamp.write_text("another")
+    with pytest.raises(
+        ValueError, match=r"models: expected vehicles\.0\.low_beam_file of S00001 as it was here before"
+    ):
+        begin()
+
+
+def test_low_beams_that_the_lamps_replace_are_told() -> None:
+    def named(name: str, **fields: object) -> NamedScene:
+        return NamedScene(name, Scene(ego=EgoSpec.model_validate(fields)))
+
+    plain = named("S00001")
+    assert not list(remarks_on([plain]))
+    (line,) = remarks_on([plain, named("S00002", carpet=0.4), named("S00003", stray=2.0)])
+    assert line == (
+        "The scenes of 2 of 3 drives (S00002, S00003) have a low beam of their own (ego.carpet, ego.stray); here that "
+        "of the headlamps (--lamps) is in its place."
+    )
+    (line,) = remarks_on([named(f"S0000{number}", carpet=0.4) for number in range(4)])
+    assert "4 of 4 drives (S00000, S00001, S00002 and others)" in line
 
 
 @pytest.mark.parametrize("name", ["model.onnx", "lamps.toml", "paper.onnx"])

@@ -19,7 +19,7 @@ from foreglow.config import preset
 from foreglow.files import write_json_results
 from foreglow.lab.simulation.scenes.scene import VehicleSpec
 from foreglow.lab.simulation.writing.scene_files import read_scenes
-from foreglow.lab.studies.reproduction import run
+from foreglow.lab.studies.reproduction import page, run
 from foreglow.lab.studies.reproduction.claims import DIFFERS, NEEDS, NO_VALUE, Answer, read_claims
 from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, Experiment, write_oncoming_scenes
 from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
@@ -190,6 +190,21 @@ def test_an_experiment_that_the_data_do_not_allow(data: Path, tmp_path: Path, mo
     assert [name for name, outcome in outcomes.items() if outcome.has_failed] == ["drive"]
     run_experiments(ReproductionPlan(data), tmp_path / "out", progress=quiet)
     assert calls[len(EXPERIMENTS) :] == ["drive"]
+
+
+@pytest.mark.parametrize("broken", ["", "drive"])
+def test_a_script_sees_that_an_experiment_could_not_be_finished(
+    data: Path, broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The page is complete but for that; of what these data do not have, such as a split, it only says so."""
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs([], broken=broken))
+    monkeypatch.setattr(page, "answers", lambda *_: [])  # the stubs' results are empty
+    monkeypatch.setattr(page, "write_page", lambda *_: tmp_path / "out" / "report.md")
+    result = foreglow_command("reproduce", data, "--out", tmp_path / "out")
+    assert result.exit_code == (2 if broken else 0), result.output
+    line = f"drive could not be finished: {tmp_path / 'out' / 'drive'}: expected something else\n"
+    assert result.stderr == (line if broken else "")
+    assert "look in " in result.stdout
 
 
 def test_results_stay_until_there_are_others(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 import math
@@ -51,8 +52,6 @@ def test_every_frame_counts_once_in_process(monkeypatch: pytest.MonkeyPatch) -> 
         num_frames = 19
 
         def __iter__(self):  # type: ignore[no-untyped-def]
-            import dataclasses
-
             yield from frames
             yield from (dataclasses.replace(frame, sequence="S2") for frame in again)
 
@@ -84,7 +83,8 @@ def test_too_few_images_for_the_live_loop(monkeypatch: pytest.MonkeyPatch) -> No
 def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(runtime, "in_process", lambda *_: times([1.0, 2.0], [3, 30]))
-    monkeypatch.setattr(runtime, "live", lambda *_: times([math.nan, 90.0], [3, 30], 1))
+    slow = dataclasses.replace(times([math.nan, 90.0], [3, 30], 1), name="live")
+    monkeypatch.setattr(runtime, "live", lambda *_: slow)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "rclpy" else name)
     results = run_experiment(shipped_drive(), live_config(), list(KINDS), 10, no_progress)
     report = write_report(results, tmp_path)
@@ -98,6 +98,10 @@ def test_report_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = report.read_text()
     assert "rclpy is not installed" in text
     assert "mean of CP" in text
+    assert "Live, the first 20 frames are run before the first that counts." in text
+    few = "live: 1 frame counted, those after the first 20: fewer than 100, so that p99 says little"
+    assert f"- {few}\n" in text
+    assert few in summary_lines(results)
     assert written["networks"][0]["parts_ms"]["CP"]["mean"] == 1.5
     assert written["networks"][1]["parts_ms"]["CP"]["mean"] == 90.0  # of the frames that were not lost
     assert "| paper, with a GPU, on PVDN | 7 030 |" in text

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 from foreglow.checksums import check_as_written
 from foreglow.config import ProposalConfig
 from foreglow.datasets import LabelledSource, open_labelled, split_folder
+from foreglow.datasets.pvdn.splits import existing_splits
 from foreglow.lab.evaluation.boxes.breakdown import check_has_light
-from foreglow.lab.learning.annotation import Progress, existing_splits
+from foreglow.lab.learning.annotation import Progress
 from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.tuning.measurement import Bench, Material, Measurement, measure_split, read_material
 from foreglow.lab.learning.tuning.objectives import PAPER, Parameters

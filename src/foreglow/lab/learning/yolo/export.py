@@ -20,9 +20,10 @@ from foreglow.config import FrozenModel, preset
 from foreglow.datasets import SPLIT_NAMES, LabelledSource, SplitName, open_labelled
 from foreglow.datasets.images import IMAGE_SUFFIXES, png
 from foreglow.datasets.json_files import read_json
+from foreglow.datasets.pvdn.splits import existing_splits
 from foreglow.files import MIB, read_bytes
 from foreglow.folder_lock import FolderLock
-from foreglow.lab.learning.annotation import POSITIVE, check_current, existing_splits, label_boxes
+from foreglow.lab.learning.annotation import POSITIVE, check_current, label_boxes
 from foreglow.lab.learning.apart import check_apart
 from foreglow.lab.learning.kept_files import file_checksum, state_of
 from foreglow.own_files import has_title, named_png

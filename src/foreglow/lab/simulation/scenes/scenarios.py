@@ -329,13 +329,13 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
 
 
 def with_beam(scene: Scene, beam: EgoBeam) -> Scene:
-    """`scene` with another beam of our own vehicle.
+    """`scene` with another beam of our own vehicle; unless that is `low`, our low beam is no longer changed.
 
     Raises:
         ValueError: If there is no such beam.
     """
     check_one_of(beam, EgoBeam, "beam")
-    return scene.model_copy(update={"ego": scene.ego.model_copy(update={"beam": beam})})
+    return scene.model_copy(update={"ego": scene.ego.with_beam(beam)})
 
 
 def without_traffic(scene: Scene) -> Scene:

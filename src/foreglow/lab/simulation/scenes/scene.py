@@ -1,4 +1,4 @@
-"""The scenario language: a frozen `Scene` describes a whole drive, and can be written as TOML.
+"""The scenario language: a frozen `Scene` describes a whole drive; `scene_file` reads and writes it as TOML.
 
 Positions along a road are arc lengths `s` in metres; offsets `t` are metres to the left of its centre line. Traffic
 keeps to the right unless the road says otherwise. Angles are in degrees, for people to write; profiles are lists of
@@ -8,14 +8,11 @@ pairs, interpolated in between.
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from typing import Annotated, Literal, TypeAlias, get_args
 
-import tomli_w
 from pydantic import Field, model_validator
 
 from foreglow.calibration.values import MIN_FOCAL_PX, Intrinsics, Position, Turn
-from foreglow.config import read_toml, validated
 from foreglow.geometry import MAX_DISTORTION, MAX_FOCAL_PX, check_centre, check_distortion
 from foreglow.lab.simulation.scenes.surroundings import (
     MAX_ALONG_M,
@@ -38,6 +35,8 @@ Beam: TypeAlias = Literal["low", "high", "off"]
 EgoBeam: TypeAlias = Literal["low", "high", "matrix"]
 EGO_BEAMS: tuple[EgoBeam, ...] = get_args(EgoBeam)
 
+LOW_BEAM_FIELDS = ("low_beam_file", "carpet", "stray")
+"""Fields of `EgoSpec` that change the low beam of `beam = "low"`; matrix lamps and high beam have their own light."""
 
 Shoulder: TypeAlias = Annotated[float, Field(ge=0, le=5)]
 _Term: TypeAlias = Annotated[float, Field(ge=-MAX_DISTORTION, le=MAX_DISTORTION)]
@@ -194,8 +193,10 @@ class EgoSpec(SpecModel):
         timetable: Pairs (time in s, arc length in m), as for other vehicles.
         lane_number: Which of our lanes, counted from the median; None for the one at the edge.
         traffic: The side of traffic for which its low beam is made.
-        beam: `matrix` is low beam plus 2 x 84 LEDs, whose levels the caller sets for each frame; all on at first.
-        low_beam_file: An IES file for the low beam instead of the built-in table.
+        beam: `matrix` is the low beam of the matrix lamps plus their 2 x 84 LEDs, whose levels the caller sets for
+            each frame; all on at first.
+        low_beam_file: An IES file for the low beam instead of the built-in table. This and the next two are of the beam
+            `low` alone: matrix lamps and the high beam have light of their own.
         carpet: Wide and near light of the built-in low beam: 1 for modern lamps, 0.4 for old ones, see `low_beam`.
         stray: Factor on the stray light of the built-in low beam: 1 for clean lamps, several for lamps under slush.
         brightness: Factor on the headlamps.
@@ -222,6 +223,17 @@ class EgoSpec(SpecModel):
     def _check(self) -> EgoSpec:
         _check_growing("timetable", self.timetable)
         return self
+
+    @property
+    def changed_low_beam(self) -> tuple[str, ...]:
+        """Those of `LOW_BEAM_FIELDS` that are not as they are by default."""
+        usual = type(self).model_fields
+        return tuple(name for name in LOW_BEAM_FIELDS if getattr(self, name) != usual[name].default)
+
+    def with_beam(self, beam: EgoBeam) -> EgoSpec:
+        """Our vehicle with another beam; unless that is `low`, `LOW_BEAM_FIELDS` have their defaults."""
+        usual = {name: type(self).model_fields[name].default for name in LOW_BEAM_FIELDS}
+        return self.model_copy(update={"beam": beam, **({} if beam == "low" else usual)})
 
 
 class WeatherSpec(SpecModel):
@@ -402,6 +414,11 @@ class Scene(SpecModel):
         for index, vehicle in enumerate(self.vehicles):
             if vehicle.lane == "branch" and vehicle.branch >= len(self.road.branches):
                 num = len(self.road.branches)
+                if not num:
+                    raise ValueError(
+                        f"vehicles.{index}.lane: expected one of the main road, as there is no side road in "
+                        "road.branches, got 'branch'"
+                    )
                 raise ValueError(f"vehicles.{index}.branch: expected a side road below {num}, got {vehicle.branch}")
         numbers = {"ego": self.ego.lane_number}
         numbers |= {f"vehicles.{index}": vehicle.lane_number for index, vehicle in enumerate(self.vehicles)}
@@ -420,20 +437,3 @@ class Scene(SpecModel):
         if self.pair_s is None:
             return number / self.rate_hz
         return number // 2 * 2 / self.rate_hz + number % 2 * self.pair_s
-
-
-def read_scene(path: Path | str) -> Scene:
-    """The scene in the TOML file `path`; fields that it does not mention have their defaults.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it is not TOML, or a field is unknown or out of range; the message names path and field.
-    """
-    path = Path(path)
-    return validated(Scene, read_toml(path), str(path))
-
-
-def scene_to_toml(scene: Scene) -> str:
-    """`scene` as TOML text that `read_scene` reads back equal; fields that are None are left out."""
-    fields: dict[str, Any] = scene.model_dump(exclude_none=True)
-    return tomli_w.dumps(fields)

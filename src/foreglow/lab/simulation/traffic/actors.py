@@ -139,6 +139,7 @@ def actors_at(
 def ego_tables(ego: EgoSpec, led_levels: Floats, headlamps: Headlamps) -> tuple[IntensityTable, IntensityTable]:
     """The light of our left and right headlamps; `led_levels`, shape (2, L), 0..1, is for the matrix beam only.
 
+    Matrix lamps and high beam have light of their own: what `ego` says of the low beam is of the beam `low` alone.
     In a car for left-hand traffic the low beam is mirrored; the LEDs of the matrix beam stay where they are.
     """
     is_left = ego.traffic == "left"

@@ -38,6 +38,7 @@ from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.production import ProductionConfig
+from foreglow.lab.simulation.scenes.lamp_files import lamp_digests
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.variants import AS_IT_IS, draw_variants
 from foreglow.lab.simulation.writing.finished import kept_scenes
@@ -247,14 +248,14 @@ def _simulated(
 ) -> tuple[DatasetSummary, ...]:
     """As `simulate_datasets`, for the sequences of each split, which nobody else writes meanwhile."""
     kept = {root: kept_scenes(root, listed) for root, listed in files.items()}
-    for root, numbers in kept.items():
-        check_keypoints(root, sorted(numbers))  # before any work
+    for root, there in kept.items():
+        check_keypoints(root, sorted(there))  # before any work
     infos = {target.root: _info(files[target.root], target.config) for target in targets}
     for root, listed in files.items():
         for folder in ("images", "labels/keypoints", "simulation"):
             (root / folder).mkdir(parents=True, exist_ok=True)
         write_info(root, infos[root])
-        write_scenes(root, listed)
+        write_scenes(root, [kept[root].get(file.sequence, file) for file in listed])
     report = progress or _no_progress
     missing: dict[str, _Outputs] = {}
     for number, scene in enumerate(scenes, start=1):
@@ -309,7 +310,7 @@ def _scene_files(scenes: Sequence[Scene], config: DatasetConfig, num_variants: i
         for variant in draw_variants(scene, num_variants)
     ]
     return [
-        SceneFile(sequence=number, made_with=making, scene=scene, variant=variant)
+        SceneFile(sequence=number, made_with=making, scene=scene, variant=variant, lamps=lamp_digests(scene))
         for number, (scene, variant) in enumerate(variants, start=1)
     ]
 

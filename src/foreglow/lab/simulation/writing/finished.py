@@ -24,14 +24,17 @@ from foreglow.datasets.simulated.shares import read_shares
 from foreglow.lab.simulation.writing.scene_files import SceneFile
 
 
-def kept_scenes(root: Path, files: list[SceneFile]) -> frozenset[int]:
-    """Numbers of the finished scenes of which nothing was lost; checks that the folder may be written to at all."""
+def kept_scenes(root: Path, files: list[SceneFile]) -> dict[int, SceneFile]:
+    """The finished scenes of which nothing was lost, by number, as they are recorded there.
+
+    Checks that the folder may be written to at all.
+    """
     if not has_truth(root):
         for name in ("images", "labels"):
             if any(found.is_file() for found in (root / name).rglob("*")):
                 raise ValueError(f"{root}: expected a new folder or a simulated split, this is another data set")
-    finished = finished_sequences(root)
-    for sequence_id in finished:
+    finished: dict[int, SceneFile] = {}
+    for sequence_id in finished_sequences(root):
         folder = sequence_folder(root, sequence_id)
         if sequence_id > len(files):
             raise ValueError(f"{folder}: expected at most the {len(files)} scenes of this run; choose another folder")
@@ -44,12 +47,23 @@ def kept_scenes(root: Path, files: list[SceneFile]) -> frozenset[int]:
             wanted, there = files[sequence_id - 1], read_json(folder / "scene.json", SceneFile)
         except ValueError as error:
             raise ValueError(f"{error}; choose another folder, or remove {folder} to make it anew") from None
-        field = _difference(wanted.model_dump(mode="json"), there.model_dump(mode="json"))
+        field = _difference(_compared(wanted, there), _compared(there, wanted))
         if field is not None:
             raise ValueError(
                 f"{folder / 'scene.json'}: {field}; choose another folder, or remove {folder} to make it anew"
             )
-    return frozenset(number for number in finished if _is_whole(root, files[number - 1]))
+        finished[sequence_id] = there
+    return {number: there for number, there in finished.items() if _is_whole(root, files[number - 1])}
+
+
+def _compared(file: SceneFile, other: SceneFile) -> dict[str, Any]:
+    """What of `file` has to be as in `other`, if both say it.
+
+    Scenes were written with changes of a low beam that does not shine, and without digests of their lamps.
+    """
+    ego = file.scene.ego.with_beam(file.scene.ego.beam)
+    known = {"scene": file.scene.model_copy(update={"ego": ego}), "lamps": file.lamps if other.lamps else {}}
+    return file.model_copy(update=known).model_dump(mode="json")
 
 
 def _is_whole(root: Path, file: SceneFile) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import SerializerFunctionWrapHandler, field_validator, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
 from foreglow.config import FrozenModel
 from foreglow.datasets.json_files import read_json, read_json_lines
@@ -54,16 +54,22 @@ class Making(FrozenModel):
 
 
 class SceneFile(FrozenModel):
-    """`scene.json`; `variant` is left out for the scene as it is."""
+    """`scene.json`.
+
+    Attributes:
+        variant: Left out for the scene as it is.
+        lamps: SHA-256 of the files that the scene names, by field; left out if there are none, as in earlier files.
+    """
 
     sequence: Id
     made_with: Making
     scene: Scene
     variant: Variant | None = None
+    lamps: dict[str, str] = Field(default_factory=dict)
 
     @model_serializer(mode="wrap")
     def _without_none(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return _without(written(self), "variant")
+        return _without(written(self), "variant", "lamps")
 
 
 def _without(fields: dict[str, Any], *names: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from foreglow.config import config_to_toml
 from foreglow.display.tone import Tone
+from foreglow.distance import ESTIMATORS
 from foreglow.geometry import Floats
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, box_plot, jpeg, legend_above, png, subplots
 from foreglow.lab.reports.page import Figure, Page, Table, number, percent, signed
@@ -251,7 +252,8 @@ def write_report(results: DistanceResults, folder: Path) -> Path:
     }
     made_with = {"processor": processor_name(), "seed": results.plan.seed}
     page = _page(results, findings, distance_figures(results, findings))
-    return page.write(folder / "report.html", results=record, made_with=made_with, files=files)
+    earlier = ("lidar.jpg", *(f"heuristics_{estimator}.png" for estimator in ESTIMATORS))
+    return page.write(folder / "report.html", results=record, made_with=made_with, files=files, earlier=earlier)
 
 
 def headline(findings: Sequence[Finding]) -> list[str]:

@@ -70,7 +70,7 @@ def command(
         _film(named, configuration, plan, out)
     report = write_experiment(experiment)
     beside = beside_paper("glare", out / "results.json")
-    typer.echo("\n".join([*summary_lines(experiment.results), *beside, f"look in {report}"]))
+    typer.echo("\n".join([*summary_lines(experiment.results), *experiment.remarks, *beside, f"look in {report}"]))
 
 
 def _film(named: NamedScene, config: PipelineConfig, plan: GlarePlan, out: Path) -> None:

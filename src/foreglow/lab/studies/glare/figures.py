@@ -117,6 +117,15 @@ def _values(drive: DriveScore) -> tuple[Sequence[float], ...]:
     return [drive.dose_lxs(is_oncoming=True)] if met else [], [eye.first_glare_s for eye in met], *kept
 
 
+def seconds(time_s: float) -> str:
+    """A time in words, with a decimal below 10 s.
+
+    >>> seconds(0.22), seconds(61.3)
+    ('0.2 s', '61 s')
+    """
+    return f"{time_s:.{0 if time_s >= 10.0 else 1}f} s"
+
+
 def bin_figure(results: GlareResults) -> bytes:
     """Dose by range of the eye: oncoming drivers, and preceding ones where there are any."""
     groups = [("oncoming drivers", [policy.oncoming for policy in results.policies])]
@@ -130,7 +139,7 @@ def bin_figure(results: GlareResults) -> bytes:
             doses = [part.glare.dose_lxs for part in group.bins[:-1]]
             positions = np.arange(len(doses)) + (index - (len(names) - 1) / 2) * width
             axes.bar(positions, doses, 0.92 * width, color=_colour(name, names), label=_words(name))
-        labels = [f"{part.name}\n{part.glare.in_sight_s:.0f} s in sight" for part in of_policies[0].bins[:-1]]
+        labels = [f"{part.name}\n{seconds(part.glare.in_sight_s)} in sight" for part in of_policies[0].bins[:-1]]
         axes.set_xticks(range(len(labels)), labels, fontsize=9)
         _dose_scale(axes)
         axes.set_title(f"{title} ({of_policies[0].num_eyes})", fontsize=10)

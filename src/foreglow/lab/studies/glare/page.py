@@ -21,6 +21,7 @@ from foreglow.lab.studies.glare.figures import (
     box_figure,
     corridor_figure,
     lux_figure,
+    seconds,
     sensitivity_figure,
 )
 from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
@@ -45,6 +46,7 @@ def write_report(
     folder: Path,
     others: Sequence[GlareResults] = (),
     leads: Sequence[LeadScore] = (),
+    remarks: Sequence[str] = (),
 ) -> Path:
     """Writes `report.html`, whose path it returns, `results.json`, `drives.csv` and the figures as PNG.
 
@@ -55,13 +57,14 @@ def write_report(
         folder: Is made where it is not there.
         others: The same drives by other limits.
         leads: How well it was predicted where hidden vehicles appear.
+        remarks: What else to say of the drives at the beginning.
 
     Raises:
         OSError: If a file cannot be written.
         ModuleNotFoundError: If matplotlib is not installed.
     """
     page = Page(f"Glare on {results.name}")
-    page.text(_preamble(results))
+    page.text(_preamble(results), *remarks)
     names = [policy.name for policy in results.policies]
     if own_policy(results) in names:
         page.items(summary_lines(results))
@@ -91,7 +94,9 @@ def write_report(
     record = {**to_json(results), "others": others, "occurrence": leads}
     files: dict[str, bytes | str] = {"drives.csv": drives_csv(results)}
     files |= _readme_figure([drive for drive in shown if drive.eyes])
-    return page.write(folder / "report.html", results=record, files=files)
+    scenes = [drive.drive for drive in results.policies[0].drives]
+    earlier = ["readme.png", *(_file_name(kind, name) for name in scenes for kind in ("lux", "corridor"))]
+    return page.write(folder / "report.html", results=record, files=files, earlier=earlier)
 
 
 def write_experiment(experiment: GlareExperiment) -> Path:
@@ -109,7 +114,7 @@ def write_experiment(experiment: GlareExperiment) -> Path:
         dataclasses.replace(drive, pictures={"Paper and ours": films[drive.name]}) if drive.name in films else drive
         for drive in drives
     ]
-    return write_report(experiment.results, shown, folder, experiment.others, experiment.leads)
+    return write_report(experiment.results, shown, folder, experiment.others, experiment.leads, experiment.remarks)
 
 
 def own_policy(results: GlareResults) -> str:
@@ -321,10 +326,10 @@ _ROAD: Columns = {
     "low beam alone, own lane": lambda policy: percent(policy.present.low_own_lane),
     "verge": lambda policy: interval(policy.present.verge, percent),
     "low beam alone, verge": lambda policy: percent(policy.present.low_verge),
-    "seconds": lambda policy: number(policy.present.seconds, 0),
+    "seconds": lambda policy: number(policy.present.seconds, 1),
     "own lane after": lambda policy: percent(policy.passed.own_lane.value),
     "verge after": lambda policy: percent(policy.passed.verge.value),
-    "seconds after": lambda policy: number(policy.passed.seconds, 0),
+    "seconds after": lambda policy: number(policy.passed.seconds, 1),
 }
 
 _LIT_ROADS: Columns = {
@@ -376,7 +381,7 @@ def _glare_columns(of: Callable[[PolicyScore], GroupGlare], bins: Sequence[BinGl
         )
 
     return {
-        **{f"{part.name} ({part.glare.in_sight_s:.0f} s)": dose(index) for index, part in enumerate(bins)},
+        **{f"{part.name} ({seconds(part.glare.in_sight_s)})": dose(index) for index, part in enumerate(bins)},
         "of production's": lambda policy: interval(of(policy).dose_vs_production, percent),
         "of low beam's": lambda policy: interval(of(policy).dose_vs_low, number),
         "added, lx s": lambda policy: number(of(policy).known_lxs(of(policy).all_bins.glare.added_lxs)),

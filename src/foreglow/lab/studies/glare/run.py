@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -20,9 +20,11 @@ from foreglow.datasets.simulated.files import sequence_name
 from foreglow.files import file_digest, read_plain_json, to_json, write_json_results
 from foreglow.lab.evaluation.occurrence import LeadScore, Sighting, lead_scores
 from foreglow.lab.learning.kept_files import checksum_of
-from foreglow.lab.simulation import Scene, Split, long_drives, without_traffic
+from foreglow.lab.simulation import Scene, Split, long_drives, with_beam, without_traffic
 from foreglow.lab.simulation.camera.profile import profile_to_toml, read_profile
+from foreglow.lab.simulation.scenes.lamp_files import lamp_digests
 from foreglow.lab.simulation.scenes.scenarios import SPLITS
+from foreglow.lab.simulation.scenes.scene import LOW_BEAM_FIELDS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
 from foreglow.lab.studies.config_files import MODULE, files_of
@@ -116,12 +118,14 @@ class GlareExperiment:
         results: By the limits of 49 CFR 571.108, with the curves over latency, margin and thresholds.
         others: The results by other limits.
         leads: How well it was predicted where hidden vehicles would appear, over all scenes.
+        remarks: What is different here from the scenes as their data set has them, a sentence each.
     """
 
     results: GlareResults
     others: tuple[GlareResults, ...]
     leads: tuple[LeadScore, ...]
     folder: Path
+    remarks: tuple[str, ...] = ()
 
     def drives(self, names: Sequence[str]) -> tuple[GlareDrive, ...]:
         """The drives called `names`."""
@@ -149,9 +153,10 @@ def run_experiment(
     wanted = named_scenes(scenes, plan)
     _check_rates(wanted, [config, *plan.others(config).values()])
     plan.drives(config).cars()  # what is wrong with one is known before there is a folder
+    lamps = _lamp_digests(wanted)
     is_new, is_made = not (folder / PLAN).exists(), not folder.exists()
     (folder / DRIVES).mkdir(parents=True, exist_ok=True)
-    _claim(folder, config, plan, wanted)
+    _claim(folder, config, plan, wanted, lamps)
     try:
         _drive_missing(folder, config, plan, wanted, workers or Local(), progress)
     except Exception:
@@ -231,10 +236,21 @@ class _Claimed(Record):
     scenes: dict[str, str] = Field(default_factory=dict)
 
 
-def _claim(folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequence[NamedScene]) -> None:
+def _lamp_digests(wanted: Sequence[NamedScene]) -> dict[str, str]:
+    """Digests of the files with the light of other vehicles; that of our low beam is not used here."""
+    return {
+        f"{field} of {named.name}": digest
+        for named in wanted
+        for field, digest in lamp_digests(with_beam(named.scene, "matrix")).items()
+    }
+
+
+def _claim(
+    folder: Path, config: PipelineConfig, plan: GlarePlan, wanted: Sequence[NamedScene], lamps: Mapping[str, str]
+) -> None:
     """Writes the plan to the folder, or checks that the plan that is there is the same, and so is what both drive."""
     about: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
-    files = _file_digests(config, plan)
+    files = _file_digests(config, plan) | dict(lamps)
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
     file, made_with = folder / PLAN, provenance()
     commits = [made_with["commit"]]
@@ -265,14 +281,14 @@ def _file_digests(config: PipelineConfig, plan: GlarePlan) -> dict[str, str]:
     return {name: file_digest(path) for found in named for name, path in found.items()}
 
 
-def _check_claimed(folder: Path, config: PipelineConfig, plan: GlarePlan) -> None:
+def _check_claimed(folder: Path, config: PipelineConfig, plan: GlarePlan, named: NamedScene) -> None:
     """Checks that all files are as the plan in the folder says, as each drive opens them anew; but not those of
     plug-ins, which a process loads once, and on which somebody may work meanwhile.
 
     Raises:
         ValueError: If one is not.
     """
-    file, digests = folder / PLAN, _file_digests(config, plan)
+    file, digests = folder / PLAN, _file_digests(config, plan) | _lamp_digests([named])
     known = read_json(file, _Claimed)
     opened = {name: digest for name, digest in digests.items() if not name.startswith(MODULE)}
     changed = [name for name, digest in opened.items() if known.models.get(name, digest) != digest]
@@ -306,7 +322,7 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
                 raise KeyboardInterrupt
 
     drive, sightings = drives.driven(named.scene, named.name, frames())
-    _check_claimed(folder, config, plan)
+    _check_claimed(folder, config, plan, named)
     write_glare_drive(_drive_file(folder, named.name), drive)
     keep_sightings(_sightings_file(folder, named.name), sightings)
 
@@ -358,4 +374,17 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: st
         for found in scored
     )
     sightings = [sighting for named in wanted for sighting in kept_sightings(_sightings_file(folder, named.name))]
-    return GlareExperiment(results, (r123,), lead_scores(sightings), folder)
+    return GlareExperiment(results, (r123,), lead_scores(sightings), folder, tuple(remarks_on(wanted)))
+
+
+def remarks_on(wanted: Sequence[NamedScene]) -> Iterator[str]:
+    """What of the scenes does not count here: a changed low beam, as all drives are with the matrix beam."""
+    changed = {named.name: named.scene.ego.changed_low_beam for named in wanted}
+    others = [name for name, fields in changed.items() if fields]
+    if others:
+        fields = ", ".join(f"ego.{field}" for field in LOW_BEAM_FIELDS if any(field in of for of in changed.values()))
+        names = ", ".join(others[:3]) + (" and others" if len(others) > 3 else "")
+        yield (
+            f"The scenes of {len(others)} of {len(wanted)} drives ({names}) have a low beam of their own ({fields}); "
+            "here that of the headlamps (--lamps) is in its place."
+        )

@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 
 from foreglow.config import config_to_toml
+from foreglow.display.summary_lines import counted
 from foreglow.lab.evaluation.ratios import mean
 from foreglow.lab.reports.figures import AMBER, BLUE, GREEN, GREY, INK, PALE, box_plot, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Missing, Page, Table, number
 from foreglow.lab.studies.reproduction.claims import paper_value, paper_words
 from foreglow.lab.studies.runtime.run import (
     COMPLETE,
+    LIVE,
+    MIN_FRAMES,
+    NUM_WARM_UP,
     PARTS,
     NetworkTimes,
     RuntimeResults,
@@ -84,7 +88,9 @@ def write_report(results: RuntimeResults, folder: Path) -> Path:
         f"Medians in milliseconds: {', '.join(f'{part} {words}' for part, words in PARTS.items())}.",
         f"In process {COMPLETE} is from the array to the beam command, frames in memory, all of them. Elsewhere",
         "frames come at their own rate, and it is from their exposure until the command is sent.",
+        f"Live, the first {NUM_WARM_UP} frames are run before the first that counts.",
     )
+    page.items(_few_frames(results))
     page.figure(Figure(stage_figure(results), "Run-times by part", "stages.png"))
     for times in results.networks:
         between = {part: median_p99_max(values) for part, values in times.parts_ms.items() if part not in PARTS}
@@ -121,7 +127,18 @@ def summary_lines(results: RuntimeResults) -> list[str]:
             f"{times.name}: {median:.2f} ms (median), {p99:.2f} ms (p99), {worst:.2f} ms (worst) of {times.num_frames} "
             f"frames; {times.share_within(results.frame_s):.2%} within {frame_ms:.1f} ms, {times.num_dropped} dropped"
         )
-    return [*lines, *(f"{name}: {reason}" for name, reason in results.missing.items())]
+    return [*lines, *_few_frames(results), *(f"{name}: {reason}" for name, reason in results.missing.items())]
+
+
+def _few_frames(results: RuntimeResults) -> list[str]:
+    """A line for each network of which too few frames count."""
+    return [
+        f"{times.name}: {counted(times.num_frames, 'frame')} counted"
+        + (f", those after the first {NUM_WARM_UP}" if times.name == LIVE else "")
+        + f": fewer than {MIN_FRAMES}, so that p99 says little"
+        for times in results.networks
+        if times.num_frames < MIN_FRAMES
+    ]
 
 
 def _network_table(results: RuntimeResults) -> Table:

@@ -97,6 +97,9 @@ STAGES = {"PG": "proposals", "PC": "classifier", "DE": "distance", "OT": "tracki
 NUM_WARM_UP = 20
 """Frames that are run before the first that counts: in a car, too, the pipeline has run before it matters."""
 
+MIN_FRAMES = 100
+"""With fewer frames that count, the 99th percentile is next to the worst of them."""
+
 IN_PROCESS, LIVE, ONE_NODE, NETWORK = "in process", "live", "ROS 2, one node", "ROS 2, six processes"
 PAPER_IN_PROCESS = "in process, paper's whole chain"
 KINDS = {"process": IN_PROCESS, "live": LIVE, "node": ONE_NODE, "ros2": NETWORK}
@@ -130,7 +133,8 @@ def run_experiment(
 ) -> RuntimeResults:
     """Measures each of `kinds` on the sequences of `split`, one after the other, with one thread for computing.
 
-    In process all frames are run, from memory; elsewhere, where they come at their own rate, the first `num_paced`.
+    In process all frames are run, from memory; elsewhere, where they come at their own rate, the first `num_paced`,
+    live of those after the first `NUM_WARM_UP`.
     A ROS 2 network that is not installed is left out, and the results say why. With `paper`, the paper's whole chain,
     that is measured in process as well.
 
@@ -224,7 +228,10 @@ class TimesSink:
 
 
 def live(dataset: LabelledSource, config: PipelineConfig, num_frames: int) -> NetworkTimes:
-    """The live loop on frames at their own rate, from exposure until the command is on a CAN bus."""
+    """The live loop on frames at their own rate, from exposure until the command is on a CAN bus.
+
+    The first `NUM_WARM_UP` of them do not count.
+    """
     sink = TimesSink()
     outputs: list[BeamOutput] = []
     if importlib.util.find_spec("can") is not None:
