@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import sys
 from pathlib import Path
@@ -200,29 +199,6 @@ def made_training(tmp_path: Path) -> tuple[Path, Path]:
     data = make_data(tmp_path / "data")
     run_experiment(data, tmp_path / "first", DetectorPlan(rows=("paper",)))
     return data, tmp_path / "first/models/paper"
-
-
-@pytest.mark.parametrize("kind", ["labels", "model"])
-def test_no_row_is_of_files_that_change_while_it_is_made(kind: str, tmp_path: Path) -> None:
-    """Labels are read once for all rows: a later one would be kept for labels that it was not measured by."""
-    data = make_data(tmp_path / "data")
-    plan = DetectorPlan(rows=("paper", "compact"), given=given(tmp_path, "paper", "compact"), may_train=False)
-
-    def meanwhile(step: str, num_done: int, num_all: int) -> None:
-        if step == "paper: images" and num_done == num_all:
-            if kind == "model":
-                make_model(tmp_path / "compact.onnx", bias=-1.0)
-                return
-            label = min((data / "test/labels/keypoints").glob("*.json"))
-            label.write_text(label.read_text() + "\n")
-
-    with pytest.raises(ValueError, match=f"^{re.escape(str(data))}: expected .* as they were when this began"):
-        run_experiment(data, tmp_path / "out", plan, progress=meanwhile)
-    kept = [path.name for path in (tmp_path / "out/rows").glob("*.json")]
-    assert kept == (["paper.json"] if kind == "model" else [])
-    paper, compact = run_experiment(data, tmp_path / "out", plan).rows
-    assert paper.num_boxes > 0
-    assert (compact.num_boxes == 0) == (kind == "model")
 
 
 def test_a_folder_of_a_training_brings_its_own_configuration(trainings: Trainings, tmp_path: Path) -> None:
