@@ -157,6 +157,31 @@ def imported(field: str, target: str) -> Any:
     return found
 
 
+def source_files() -> dict[str, Path]:
+    """By module, the files that what was plugged in so far is made of: results of it may depend on each.
+
+    These are the modules that were imported for a `module:Name`, and what else is loaded of their packages or lies
+    beside them; nothing counts that lies beside an installed module.
+    """
+    found: dict[str, Path] = {}
+    for plugin in sorted(_modules):
+        own, top = _file_of(plugin), plugin.partition(".")[0]
+        if own is None or top in sys.stdlib_module_names:
+            continue
+        beside = None if own.parent.name in ("site-packages", "dist-packages") else own.parent
+        for name in sorted(sys.modules):
+            file = _file_of(name)
+            if file is not None and (name.partition(".")[0] == top or file.parent == beside):
+                found[name] = file
+    return found
+
+
+def _file_of(module: str) -> Path | None:
+    """The file of a module that is loaded; None for one without any."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return Path(file) if isinstance(file, str) and Path(file).is_file() else None
+
+
 def built(plugin: Entry | Callable[..., Entry] | None, make: Callable[..., Entry], *arguments: Any) -> Entry:
     """The `plugin`, made of `arguments` where it is a class; without one, what `make` makes of them."""
     if plugin is None:

@@ -113,6 +113,15 @@ def test_limit_of_an_earlier_run(tmp_path: Path, run: Path) -> None:
     assert len(lines(tmp_path / "out")) == 3
 
 
+def test_the_model_is_that_of_the_run(tmp_path: Path, run: Path) -> None:
+    """Another one may lie at its path by now, which has scored nothing here."""
+    shutil.copytree(run, tmp_path / "run")
+    path = tmp_path / "run" / "summary.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"model_sha256": "5" * 64}))
+    beam(tmp_path / "run", "--out", tmp_path / "out", "--limit", 3)
+    assert json.loads((tmp_path / "out/summary.json").read_text())["model_sha256"] == "5" * 64
+
+
 def as_interrupted(run: Path, copy: Path) -> Path:
     """A copy of a run, as if Ctrl-C had ended it."""
     shutil.copytree(run, copy)

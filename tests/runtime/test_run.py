@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import json
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,11 +13,13 @@ from typing import Any
 
 import pytest
 
-from foreglow.config import read_config
+from foreglow.config import preset, read_config
 from foreglow.files import json_text
+from foreglow.models import BUNDLED, SHA256, model_path
+from foreglow.parallel import Local
 from foreglow.pipeline import Pipeline, Stages
 from foreglow.runs.tally import Tally
-from foreglow.runtime import OutputFolder, RunSummary, run
+from foreglow.runtime import Opening, OutputFolder, RunSummary, run, run_apart
 from foreglow.types import Frame, FrameResult
 from tests.linux import needs_full_disk
 from tests.stand_ins import REFERENCE, ListSource, night_frames
@@ -57,6 +60,42 @@ def records(path: Path, name: str = "frames.jsonl") -> list[dict[str, Any]]:
 
 def names(path: Path) -> set[str]:
     return {entry.name for entry in path.iterdir()}
+
+
+def a_model(path: Path) -> Path:
+    path.write_bytes(model_path(Path(BUNDLED)).read_bytes())
+    return path
+
+
+def test_the_summary_knows_the_model_that_was_opened(tmp_path: Path) -> None:
+    """A training may put another one in its place before the run ends."""
+    model = a_model(tmp_path / "mine.onnx")
+
+    class Replacing(ListSource):
+        def __iter__(self) -> Iterator[Frame]:
+            for frame in super().__iter__():
+                yield frame
+                model.write_bytes(b"another")
+
+    source = Replacing(night_frames(2))
+    pipeline = Pipeline(preset("foreglow").changed("classifier", model=model))
+    assert run(source, pipeline, OutputFolder(tmp_path / "out"), source_name="here").model_sha256 == SHA256
+
+
+def test_no_worker_opens_another_model(tmp_path: Path) -> None:
+    """Those that begin late would score their sequences by another model than the first ones."""
+    model = a_model(tmp_path / "mine.onnx")
+
+    def opened() -> ListSource:
+        model.write_bytes(content.replace(b"foreglow", b"foreglov", 1))  # the producer's name: it is still a model
+        return ListSource(night_frames(2))
+
+    content = model.read_bytes()
+    config = preset("foreglow").changed("classifier", model=model)
+    with pytest.raises(ValueError, match=f"^{re.escape(str(model))}: expected the model that the run was begun with"):
+        run_apart(Opening(opened, ()), config, OutputFolder(tmp_path / "out"), Local(), source_name="here")
+    assert model.read_bytes() != content
+    assert not (tmp_path / "out" / "frames.jsonl").exists()
 
 
 def test_writes_one_line_a_frame(tmp_path: Path) -> None:

@@ -66,8 +66,8 @@ class RunSummary(_Strict):
             or lacks something; the results until then are kept.
         is_interrupted: Whether that was the run itself; false in folders of earlier versions.
         is_classified: Whether a model scored the proposals.
-        model_sha256: SHA-256 of the model's file at the end of the run, which tells it from others at the same path;
-            None without a model or its file, and in folders of earlier versions.
+        model_sha256: SHA-256 of the model's file when the run began, which tells it from others at the same path; as in
+            the run whose results it takes; None without a model or its file, and in folders of earlier versions.
         num_frames: Frames that were run.
         num_proposals: Boxes proposed, over all frames.
         num_scored: Boxes that the model scored; None without a model.

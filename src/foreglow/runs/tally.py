@@ -63,9 +63,21 @@ class FaultCounts(Counter[str]):
 
 
 class Tally:
-    """Counts and run-times of a run or of a part of it; `extend` joins the tallies of parts."""
+    """Counts and run-times of a run or of a part of it; `extend` joins the tallies of parts.
 
-    def __init__(self) -> None:
+    Attributes:
+        model_sha256: Of the model's file when it began; None without one, and of a part.
+    """
+
+    def __init__(self, config: PipelineConfig | None = None) -> None:
+        """Begins to count.
+
+        Args:
+            config: Of the pipeline that was just made, whose model may have another one in its place at the end of the
+                run; None for a part of a run.
+        """
+        self.model_sha256 = None if config is None else model_digest(config.classifier.model)
+        self._is_begun = config is not None
         self.num_frames = 0
         self._num_proposals = 0
         self._num_accepted = 0
@@ -170,7 +182,7 @@ class Tally:
             is_complete=is_complete and source_lack is None,
             is_interrupted=is_interrupted,
             is_classified=is_classified,
-            model_sha256=_model_digest(config.classifier.model),
+            model_sha256=self.model_sha256 if self._is_begun else model_digest(config.classifier.model),
             num_frames=self.num_frames,
             num_proposals=self._num_proposals,
             num_scored=self._num_proposals if is_classified else None,
@@ -215,7 +227,7 @@ class Tally:
         )
 
 
-def _model_digest(model: Path | None) -> str | None:
+def model_digest(model: Path | None) -> str | None:
     """SHA-256 of a model's file; None without one, or if it cannot be read any more."""
     try:
         return None if model is None else file_digest(model_path(model))

@@ -20,7 +20,7 @@ from foreglow.provenance import processor_name
 from foreglow.runs.folder import OutputFolder, part_sinks
 from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
-from foreglow.runs.tally import Tally
+from foreglow.runs.tally import Tally, model_digest
 from foreglow.runtime.run import InterruptFlag, ResultSink, check_readable, step_through
 from foreglow.types import Frame, FrameResult
 
@@ -117,20 +117,21 @@ def run_apart(
     Raises:
         ChildProcessError: If a sequence cost several processes; the message names it.
         FileNotFoundError: If a worker of a cluster lacks a file.
-        ValueError: If a frame is unreadable and the source stops at it, its content is unfit, or no frame at all can
-            be read.
+        ValueError: If a frame is unreadable and the source stops at it, its content is unfit, no frame at all can
+            be read, or the file of the model changed before all workers had opened it.
         OSError: If a result cannot be written; the message names the path.
     """
     with folder:
+        tally = Tally(config)
         source = opening()
         name, parts = source_name or origin_name(source), folder.make_parts()
         sequences = {sequence or source.name: sequence for sequence in part_names(source)}
-        work = functools.partial(_run_part, opening, config, parts, watcher)
+        work = functools.partial(_run_part, opening, config, tally.model_sha256, parts, watcher)
         paths = (parts, *opening.paths)
         with InterruptFlag() as interrupt:
             done = dict(workers.each(work, sequences, progress, is_stopped=lambda: interrupt.is_set, paths=paths))
             runs = [done[sequence] for sequence in sequences if sequence in done]
-            tally, skipped = Tally(), [line for part in runs for line in part.skipped]
+            skipped = [line for part in runs for line in part.skipped]
             for part in runs:
                 tally.extend(part.tally)
                 if watcher is not None and part.watcher is not None:
@@ -160,11 +161,17 @@ def _each_once(names: Sequence[str | None]) -> str | None:
 
 
 def _run_part(
-    opening: Opening, config: PipelineConfig, parts: Path, watcher: Watcher | None, sequence: str, parent: Parent
+    opening: Opening,
+    config: PipelineConfig,
+    model_sha256: str | None,
+    parts: Path,
+    watcher: Watcher | None,
+    sequence: str,
+    parent: Parent,
 ) -> Part:
     """Runs one sequence; its files in `parts` have a new name, so that those of an earlier attempt do no harm."""
     frames = part_of(_source(opening, parts), sequence)
-    pipeline, tally, name = _pipeline(config, parts), Tally(), uuid.uuid4().hex
+    pipeline, tally, name = _pipeline(config, model_sha256, parts), Tally(), uuid.uuid4().hex
     own = copy.deepcopy(watcher)
     sinks: list[ResultSink] = [*part_sinks(parts, name), _ProgressSink(parent, sequence)]
     if own is not None:
@@ -183,9 +190,17 @@ def _source(opening: Opening, parts: Path) -> FrameSource:  # noqa: ARG001
 
 
 @functools.lru_cache(maxsize=1)
-def _pipeline(config: PipelineConfig, parts: Path) -> Pipeline:  # noqa: ARG001
-    """The pipeline, made once in each run and process, as the file of a model may change; every sequence resets it."""
-    return Pipeline(config)
+def _pipeline(config: PipelineConfig, model_sha256: str | None, parts: Path) -> Pipeline:  # noqa: ARG001
+    """The pipeline, made once in each run and process, as the file of a model may change; every sequence resets it.
+
+    Raises:
+        ValueError: If it has changed since the run was begun: other sequences may have been scored by another model.
+    """
+    pipeline = Pipeline(config)
+    if model_digest(config.classifier.model) != model_sha256:
+        words = "expected the model that the run was begun with, there is another one now"
+        raise ValueError(f"{config.classifier.model}: {words}; repeat the command")
+    return pipeline
 
 
 class _ProgressSink:

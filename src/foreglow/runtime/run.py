@@ -155,7 +155,7 @@ def run(
             be read; with an `origin` also if the source has fewer than `limit` frames.
         OSError: If a result cannot be written; the message names the path.
     """
-    tally, name = Tally(), source_name or origin_name(source)
+    tally, name = Tally(pipeline.config), source_name or origin_name(source)
     all_sinks: list[ResultSink] = []
     with folder or contextlib.nullcontext(), discarding(all_sinks):
         if folder is not None:
@@ -187,6 +187,8 @@ def run(
                 num_lost_parts=num_lost_parts,
                 **read,
             )
+            if origin is not None:
+                summary = dataclasses.replace(summary, model_sha256=origin.model_sha256)
             if origin is not None and origin.calibration != summary.calibration:
                 own = summary.calibration
                 summary = dataclasses.replace(summary, calibration=origin.calibration, beam_calibration=own)

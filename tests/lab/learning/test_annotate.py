@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from foreglow.checksums import CHECKSUMS
 from foreglow.config import PipelineConfig, ProposalConfig, preset, read_toml
@@ -18,7 +19,7 @@ from foreglow.datasets import PVDN
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import annotation_quality
 from foreglow.lab.learning import annotation
-from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, splits_to_annotate
+from foreglow.lab.learning.annotation import RECORD_NAME, annotate_split, check_current, splits_to_annotate
 from foreglow.parallel import Local
 from foreglow.proposals import make_proposer
 from foreglow.whole_files import write_atomic
@@ -155,6 +156,32 @@ def test_key_points_that_are_older_than_the_boxes_are_others_too(split: Path) ->
     os.utime(path, ns=(before - 10**9, before - 10**9))
     made = annotate_split(split, PAPER)
     assert made.quality.precision == 1.0
+    labels = PVDN(split).boxes(100)
+    assert labels is not None
+    assert labels.labels == (0.0, 0.0)
+
+
+def test_key_points_that_change_while_boxes_are_made_are_others_too(
+    split: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What learns of the boxes asks whether they are current, and trains on those of earlier key points else."""
+    made: list[int] = []
+
+    def label_image(dataset: PVDN, image_id: int, boxes: NDArray[np.int32]) -> NDArray[np.int8]:
+        labels = annotation.label_boxes(boxes, dataset.keypoints_px(image_id))
+        made.append(image_id)
+        if image_id == 100:
+            edit(split / "labels" / "keypoints" / "000100.json", "annotations", value=[])
+        return labels
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(annotation, "label_image", label_image)
+        annotate_split(split, PAPER)
+    assert len(made) == NUM_ALL
+    with pytest.raises(ValueError, match=r"sequence S00001: expected boxes of its images and key points as they are"):
+        check_current(split)
+    annotate_split(split, PAPER)
+    check_current(split)
     labels = PVDN(split).boxes(100)
     assert labels is not None
     assert labels.labels == (0.0, 0.0)

@@ -208,6 +208,28 @@ def test_two_trainings_make_the_same_samples_at_once(
     np.testing.assert_array_equal(samples.crops, made[1].crops)
 
 
+@pytest.mark.parametrize("kind", ["labels", "image"])
+def test_what_changes_while_samples_are_made_is_said(own: PVDN, tmp_path: Path, kind: str) -> None:
+    """They would be of other files than their digest says, to which a person may well go back."""
+    path = own.image_path(103) if kind == "image" else own.root / "labels/keypoints/000103.json"
+    before, cache = path.read_bytes(), tmp_path / "cache"
+
+    def meanwhile(num_done: int, num_images: int) -> None:  # noqa: ARG001
+        if num_done == 1:
+            if kind == "image":
+                path.write_bytes(png(own.read(103).image[::-1]))
+            else:
+                doubt(own.root, 103)
+
+    with pytest.raises(ValueError, match=f"^{re.escape(str(own.root))}: expected the images and labels"):
+        cached_samples(own, PLAIN, cache, meanwhile)
+    assert list(cache.iterdir()) == []
+    changed = cached_samples(own, PLAIN, cache).digest
+    path.write_bytes(before)
+    assert cached_samples(own, PLAIN, cache).digest != changed
+    np.testing.assert_array_equal(cached_samples(own, PLAIN, cache).labels, collect_samples(own, PLAIN).labels)
+
+
 def test_whatever_matters_changes_the_digest(own: PVDN) -> None:
     digests = [samples_digest(own, PLAIN), samples_digest(own, JITTERED)]
     other = PLAIN.model_copy(update={"proposals": CONFIG.model_copy(update={"kappa": 0.5})})

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 from foreglow.lab.simulation import Drive, DriveFrame, Scene, with_beam
 from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.simulation.scenes.surroundings import SurroundingsSpec, Verge
+from foreglow.lab.simulation.writing.lidar import LidarConfig
+from foreglow.lab.simulation.writing.scene_files import Making, SceneFile, write_scenes
+from foreglow.lab.simulation.writing.street_data import StreetDataError
 
 BARE = Verge(grass_per_m2=0.0, bank_m=0.0, ditch_m=0.0)
 ONCOMING = VehicleSpec(timetable=((0.0, 150.0), (10.0, -50.0)))
@@ -31,3 +35,12 @@ def scene(duration_s: float = 3 / 18, **changes: object) -> Scene:
 @functools.cache
 def first_frame() -> DriveFrame:
     return next(iter(Drive(with_beam(scene(), "matrix"), "fast").frames()))
+
+
+def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
+    """The `scenes.jsonl` in a folder of a split that has these scenes."""
+    folder.mkdir(exist_ok=True)
+    making = Making(generator="test", lidar=LidarConfig(), street=StreetDataError())
+    files = [SceneFile(sequence=place, made_with=making, scene=one) for place, one in enumerate(scenes, start=1)]
+    write_scenes(folder, files)
+    return folder / "scenes.jsonl"

@@ -319,7 +319,7 @@ def _annotate_sequence(
     dataset, proposer = _dataset(root, call).seen_by(white_level), make_proposer(config)
     counts, files = [], {}
     image_ids = dataset.only(directory).frame_ids
-    sources = _sources(dataset, image_ids)
+    sources, contents = (_sources(dataset, image_ids, state) for state in (image_state, image_contents))
     for image_id in image_ids:
         if parent.is_stopped:
             raise KeyboardInterrupt
@@ -332,7 +332,7 @@ def _annotate_sequence(
         **dict(zip(("num_boxes", "num_positive", "num_ignored"), np.sum(counts, axis=0).tolist(), strict=True)),
         checksum=checksum_of([zlib.crc32(data) for data in files.values()]),
         sources=sources,
-        contents=_sources(dataset, image_ids, image_contents),
+        contents=contents,
     )
     return record, files
 

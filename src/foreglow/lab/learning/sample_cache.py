@@ -50,7 +50,7 @@ def cached_samples(
 
     Raises:
         FileNotFoundError: If an image or a label file is missing.
-        ValueError: If one of them is broken.
+        ValueError: If one of them is broken, or has changed while samples were made.
         OSError: If the samples cannot be written.
     """
     digest = samples_digest(dataset, config)
@@ -68,6 +68,9 @@ def cached_samples(
     writing = FolderLock(partial)
     try:
         num_samples = _write(partial, folder, samples_by_image(dataset, config, progress), no_samples(config.inputs))
+        if samples_digest(dataset, config) != digest:
+            words = "expected the images and labels as they were when their samples were begun, one has changed since"
+            raise ValueError(f"{dataset.root}: {words}; repeat the command")
         about = {"digest": digest, "data": str(dataset.root), "num_samples": num_samples, "format": FORMAT}
         about |= {"config": config.model_dump(mode="json"), "checksums": _checksums(partial)}
         with naming(folder / _DONE):

@@ -94,4 +94,4 @@ class KeptResults(KeepingSink):
             on_error=run.on_error,
             source_lack=run.source_lack,
         )
-        return dataclasses.replace(live, run=kept)
+        return dataclasses.replace(live, run=dataclasses.replace(kept, model_sha256=run.model_sha256))

@@ -190,6 +190,7 @@ class LiveLoop:
         pipeline = self._make_pipeline()
         if not pipeline.config.commands:
             raise ValueError("make_pipeline: expected one that commands a beam, as of `config.commanding()`")
+        self._tally = Tally(pipeline.config)
         self._watch = FrameWatch(
             self._config,
             self._period_s,

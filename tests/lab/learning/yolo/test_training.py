@@ -250,6 +250,23 @@ def test_given_weights_are_started_from(monkeypatch: pytest.MonkeyPatch, data: P
         config("libreyolo", weights=str(weights))
 
 
+def test_a_run_is_of_the_weights_that_it_started_from(
+    monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    """By what is in their file, wherever it is: another file of this name gave the results of the former one."""
+    monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
+    weights, moved = tmp_path / "coco.pt", tmp_path / "moved.pt"
+    weights.write_bytes(b"one")
+    train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(weights)))
+    weights.rename(moved)
+    train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(moved)))
+    moved.write_bytes(b"two")
+    with pytest.raises(ValueError, match=r"config\.json: weights_sha256: expected .* to go on with this run"):
+        train_yolo(data, tmp_path / "run", config("ultralytics", weights=str(moved)))
+    with pytest.raises(ValueError, match=r"config\.json: weights: expected '' to go on with this run"):
+        train_yolo(data, tmp_path / "run", config("ultralytics"))
+
+
 def test_unknown_size(monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "ultralytics", fake_ultralytics(Calls("")))
     with pytest.raises(ValueError, match="size: expected one of n, s, m, l, x for ultralytics, got 't'"):

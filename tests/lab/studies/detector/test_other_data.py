@@ -1,7 +1,8 @@
-"""The table of detectors on data of a camera of few bits, and on none."""
+"""The table of detectors on data of a camera of few bits, on none, and on some that change meanwhile."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -35,3 +36,27 @@ def test_a_split_without_an_image(tmp_path: Path) -> None:
         run_experiment(data, tmp_path / "out", DetectorPlan(rows=("paper",), given=models))
     with pytest.raises(ValueError, match="test: expected images to run on, found none"):
         run_on_networks(data / "test", preset("foreglow"), ["process"], 1, lambda *_: None)
+
+
+@pytest.mark.parametrize("kind", ["labels", "model"])
+def test_no_row_is_of_files_that_change_while_it_is_made(kind: str, tmp_path: Path) -> None:
+    """Labels are read once for all rows: a later one would be kept for labels that it was not measured by."""
+    data = make_data(tmp_path / "data")
+    models = {row: make_model(tmp_path / f"{row}.onnx") for row in ("paper", "compact")}
+    plan = DetectorPlan(rows=("paper", "compact"), given=models, may_train=False)
+
+    def meanwhile(step: str, num_done: int, num_all: int) -> None:
+        if step == "paper: images" and num_done == num_all:
+            if kind == "model":
+                make_model(tmp_path / "compact.onnx", bias=-1.0)
+                return
+            label = min((data / "test/labels/keypoints").glob("*.json"))
+            label.write_text(label.read_text() + "\n")
+
+    with pytest.raises(ValueError, match=f"^{re.escape(str(data))}: expected .* as they were when this began"):
+        run_experiment(data, tmp_path / "out", plan, progress=meanwhile)
+    kept = [path.name for path in (tmp_path / "out/rows").glob("*.json")]
+    assert kept == (["paper.json"] if kind == "model" else [])
+    paper, compact = run_experiment(data, tmp_path / "out", plan).rows
+    assert paper.num_boxes > 0
+    assert (compact.num_boxes == 0) == (kind == "model")

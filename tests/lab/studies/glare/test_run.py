@@ -17,7 +17,6 @@ from foreglow.files import to_json
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
 from foreglow.lab.simulation import Scene, long_drives, without_traffic
 from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
-from foreglow.lab.simulation.writing.scene_files import SceneFile, write_scenes
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
@@ -30,25 +29,13 @@ from foreglow.photometry import NUM_LEDS, Headlamps
 from foreglow.photometry.headlamps import SHIPPED
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 from tests.lab.studies.detector_data import make_model
-from tests.lab.studies.glare_scenes import AHEAD, scene
+from tests.lab.studies.glare_scenes import AHEAD, scene, write_scenes_of
 
 pytestmark = [pytest.mark.renderer, pytest.mark.slow]
 
 
 def config() -> PipelineConfig:
     return preset("foreglow")
-
-
-def write_scenes_of(folder: Path, *scenes: Scene) -> Path:
-    folder.mkdir(exist_ok=True)
-    from foreglow.lab.simulation.writing.lidar import LidarConfig
-    from foreglow.lab.simulation.writing.scene_files import Making
-    from foreglow.lab.simulation.writing.street_data import StreetDataError
-
-    making = Making(generator="test", lidar=LidarConfig(), street=StreetDataError())
-    files = [SceneFile(sequence=place, made_with=making, scene=one) for place, one in enumerate(scenes, start=1)]
-    write_scenes(folder, files)
-    return folder / "scenes.jsonl"
 
 
 def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -138,6 +138,30 @@ def test_other_files_of_the_configuration(data: Path, tmp_path: Path, monkeypatc
     assert not {"settings", "data", "distance", "detector"} & set(calls)
 
 
+def test_data_that_were_moved_are_the_same(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    shutil.copytree(data, tmp_path / "straight")
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    run_experiments(ReproductionPlan(data, straight=(tmp_path / "straight", data)), tmp_path / "out", progress=quiet)
+    calls.clear()
+    monkeypatch.chdir(shutil.copytree(data, tmp_path / "elsewhere"))
+    moved = shutil.move(tmp_path / "straight", tmp_path / "moved")
+    run_experiments(ReproductionPlan(Path(), straight=(moved, Path())), tmp_path / "out", progress=quiet)
+    assert calls == []
+
+
+def test_the_other_cycle_counts_among_the_data_alone(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+    monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))
+    for cycles in (("day",), ("day", "night")):
+        calls.clear()
+        shutil.copytree(ReproductionPlan(data).split("test"), tmp_path / "data" / cycles[-1] / "test")
+        run_experiments(ReproductionPlan(tmp_path / "data"), tmp_path / "out", progress=quiet)
+    assert calls == ["data"]
+
+
 def test_another_yolo_in_the_same_folder(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     monkeypatch.setattr(run, "EXPERIMENTS", stubs(calls))

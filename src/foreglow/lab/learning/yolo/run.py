@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from foreglow.checksums import check_unchanged
 from foreglow.datasets import LabelledSource
 from foreglow.datasets.json_files import Record, read_json
+from foreglow.files import file_digest
 from foreglow.lab.evaluation import Predictions
 from foreglow.lab.learning.kept_files import check_torch_file
 from foreglow.lab.learning.yolo.backends import BACKENDS, Detector, YoloConfig, is_here
@@ -47,12 +48,17 @@ class YoloSettings(Record):
         boxes: The boxes that it is trained on, as in `ExportSettings`.
         export_size_px: Side of the squares that frames are scaled to; the library scales them to its own size.
         data_sha256: Digest of the images and label files; empty for runs of an early version, which go on with any.
+        weights_sha256: That of the file of weights to start from, wherever it is now; likewise, and without any.
     """
 
     training: YoloConfig
     boxes: str
     export_size_px: int
     data_sha256: str = ""
+    weights_sha256: str = ""
+
+
+_DIGESTS = ("data_sha256", "weights_sha256")
 
 
 class YoloResults(Record):
@@ -130,6 +136,7 @@ def train_yolo(
         boxes=exported.boxes,
         export_size_px=exported.size_px,
         data_sha256=_data_digest(data_file.parent),
+        weights_sha256=file_digest(Path(config.weights)) if config.weights else "",
     )
     path = folder / CONFIG_NAME
     if not path.exists():
@@ -137,8 +144,10 @@ def train_yolo(
     folder.mkdir(parents=True, exist_ok=True)
     if path.exists():
         known = read_json(path, YoloSettings)
+        if known.weights_sha256 and config.weights:
+            known = known.model_copy(update={"training": known.training.model_copy(update={"weights": config.weights})})
         check_claim(path, settings.training, known.training, "run")
-        unknown = {} if known.data_sha256 else {"data_sha256": settings.data_sha256}
+        unknown = {name: getattr(settings, name) for name in _DIGESTS if not getattr(known, name)}
         check_claim(path, settings, known.model_copy(update=unknown), "run")
     else:
         write_atomic(path, (json.dumps(settings.model_dump() | origin, indent=1) + "\n").encode())

@@ -261,7 +261,8 @@ def given_digest(name: str, given: Path) -> str:
         from foreglow.lab.learning.yolo import read_yolo_run
 
         run = read_yolo_run(given)
-        parts += [run.settings.model_dump(mode="json"), run.results.model_dump(mode="json", exclude={"seconds"})]
+        settings = run.settings.model_dump(mode="json", exclude={"weights_sha256"})  # of what it started from
+        parts += [settings, run.results.model_dump(mode="json", exclude={"seconds"})]
     else:
         used = _with_model(_configuration(given, spec), Path())
         parts.append(used.model_dump(mode="json", include={"proposals", "classifier", "standing"}))

@@ -159,26 +159,25 @@ def run_experiment(
 
     Raises:
         FileNotFoundError: If a file of the data set or of a given model is missing.
-        ValueError: If one is broken, or does not fit, or the split has no image.
+        ValueError: If one is broken, does not fit, or has changed when a row is made, or the split has no image.
         ModuleNotFoundError: If an extra that is needed is not installed.
     """
     workspace = Workspace(data, out, plan, progress, training)
     dataset = open_labelled(split_folder(data, plan.split))
     if not dataset.frame_ids:
         raise ValueError(f"{dataset.root}: expected images to measure on, found none")
-    labels = read_split_labels(dataset, with_shares=True)
-    rows = tuple(_row(name, workspace, dataset, labels) for name in plan.rows)
+    keys = {name: row_key(name, workspace) for name in plan.rows if missing_reason(name, plan) is None}
+    labels = read_split_labels(dataset, with_shares=True)  # once for all rows, after what the keys say of them
+    rows = tuple(_row(name, workspace, dataset, labels, keys.get(name)) for name in plan.rows)
     predictions = {row.name: read_predictions(_predictions_file(out, row.name)) for row in rows if row.reason is None}
     return DetectorResults(str(data), labels, plan, rows, predictions, _compared(labels, predictions, plan.seed))
 
 
-def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels) -> RowResult:
-    """The row from its file where that has the same key, else made now."""
-    reason = missing_reason(name, workspace.plan)
-    if reason is not None:
-        return RowResult(name=name, title=ROWS[name].title, reason=reason)
+def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: SplitLabels, key: str | None) -> RowResult:
+    """The row from its file where that has the same key, else made now; None stands for one that cannot be made."""
+    if key is None:
+        return RowResult(name=name, title=ROWS[name].title, reason=missing_reason(name, workspace.plan))
     path = workspace.out / "rows" / f"{name}.json"
-    key = row_key(name, workspace)
     known = _kept_row(path, _predictions_file(workspace.out, name), key)
     if known is not None:
         return known
@@ -186,6 +185,9 @@ def _row(name: str, workspace: Workspace, dataset: LabelledSource, labels: Split
         check_apart([split_folder(workspace.data, "train")], [dataset.root])
     make = _yolo_row if ROWS[name].kind == "yolo" else _classifier_row
     row = make(name, workspace, dataset, labels).model_copy(update={"key": key})
+    if row_key(name, workspace) != key:
+        words = "expected the data, and the given models, as they were when this began, they have changed since"
+        raise ValueError(f"{workspace.data}: {words}, so that the row {name} is not kept; repeat the command")
     path.parent.mkdir(parents=True, exist_ok=True)
     row = RowResult.model_validate_json(row.model_dump_json())  # as it is read: JSON knows no infinite threshold
     kept = KeptRow(**row.model_dump(), checksums=_checksums(row, _predictions_file(workspace.out, name)))

@@ -27,7 +27,7 @@ from foreglow.lab.simulation.scenes.scenarios import SPLITS
 from foreglow.lab.simulation.scenes.scene import LOW_BEAM_FIELDS
 from foreglow.lab.simulation.writing.dataset import Progress
 from foreglow.lab.simulation.writing.scene_files import read_scenes
-from foreglow.lab.studies.config_files import files_of
+from foreglow.lab.studies.config_files import MODULE, files_of
 from foreglow.lab.studies.glare.drive import GlareDrive, read_glare_drive, write_glare_drive
 from foreglow.lab.studies.glare.eyes import FMVSS_108, R123
 from foreglow.lab.studies.glare.loop import Delays, Shone
@@ -149,8 +149,8 @@ def run_experiment(
 
     Raises:
         FileNotFoundError: If there are no scenes, or a model of a car does not exist.
-        ValueError: If they are broken, a stage of a car cannot be made, or the folder holds an experiment with another
-            plan, model or scene.
+        ValueError: If they are broken, a stage of a car cannot be made, the folder holds an experiment with another
+            plan, model or scene, or a file of a car is changed while it drives.
         OSError: If something cannot be written; scenes that are finished stay, and without any of them the plan goes.
     """
     config = plan.delays.known_to(config)
@@ -254,8 +254,7 @@ def _claim(
 ) -> None:
     """Writes the plan to the folder, or checks that the plan that is there is the same, and so is what both drive."""
     about: dict[str, Any] = {"plan": plan.model_dump(mode="json"), "digest": _digest(config, plan)}
-    named = (files_of(each) for each in (config, *plan.others(config).values()))
-    files = {name: file_digest(path) for found in named for name, path in found.items()} | dict(lamps)
+    files = _file_digests(config, plan) | dict(lamps)
     scenes = {named.name: hashlib.sha256(named.scene.model_dump_json().encode()).hexdigest() for named in wanted}
     file, made_with = folder / PLAN, provenance()
     commits = [made_with["commit"]]
@@ -278,6 +277,28 @@ def _claim(
     with together():
         write_json_results(file, about | made_with, indent=2)
         write_atomic(folder / CONFIG, config_to_toml(config).encode())
+
+
+def _file_digests(config: PipelineConfig, plan: GlarePlan) -> dict[str, str]:
+    """Digests of the files that the cars' configurations name, by name."""
+    named = (files_of(each) for each in (config, *plan.others(config).values()))
+    return {name: file_digest(path) for found in named for name, path in found.items()}
+
+
+def _check_claimed(folder: Path, config: PipelineConfig, plan: GlarePlan, named: NamedScene) -> None:
+    """Checks that all files are as the plan in the folder says, as each drive opens them anew; but not those of
+    plug-ins, which a process loads once, and on which somebody may work meanwhile.
+
+    Raises:
+        ValueError: If one is not.
+    """
+    file, digests = folder / PLAN, _file_digests(config, plan) | _lamp_digests([named])
+    known = read_json(file, _Claimed)
+    opened = {name: digest for name, digest in digests.items() if not name.startswith(MODULE)}
+    changed = [name for name, digest in opened.items() if known.models.get(name, digest) != digest]
+    if changed or known.digest != _digest(config, plan):
+        what = changed[0] if changed else "a configuration, the camera or the paper's model"
+        raise ValueError(f"{file}: {what} was changed while scenes were driven; choose another folder")
 
 
 def _digest(config: PipelineConfig, plan: GlarePlan) -> str:
@@ -305,6 +326,7 @@ def _drive(folder: Path, config: PipelineConfig, plan: GlarePlan, item: tuple[in
                 raise KeyboardInterrupt
 
     drive, sightings = drives.driven(named.scene, named.name, frames())
+    _check_claimed(folder, config, plan, named)
     write_glare_drive(_drive_file(folder, named.name), drive)
     keep_sightings(_sightings_file(folder, named.name), sightings)
 

@@ -87,8 +87,8 @@ def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: 
     write_json_results(folder / "results.json", {"made_with": provenance(), **to_json(settings)})
 
 
-def _data(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
-    """What is in DATA."""
+def counted_splits(plan: ReproductionPlan) -> dict[str, dict[str, Any]]:
+    """How much is in each split of DATA, of both cycles."""
     folders = (path for name in SPLIT_NAMES for path in (plan.data / name, *plan.data.glob(f"*/{name}")))
     splits: dict[str, dict[str, Any]] = {}
     for path in sorted(filter(is_split, folders)):
@@ -98,6 +98,12 @@ def _data(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Prog
             "num_sequences": len(dataset.sequences),
             "rate_hz": dataset.rate_hz,
         }
+    return splits
+
+
+def _data(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
+    """What is in DATA."""
+    splits = counted_splits(plan)
     test = open_labelled(plan.split("test"))
     height_px, width_px = test.read(test.frame_ids[0]).image.shape
     words = ", ".join(

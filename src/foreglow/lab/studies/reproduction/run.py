@@ -8,7 +8,7 @@ import json
 import os
 import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -22,7 +22,7 @@ from foreglow.files import file_digest, read_plain_json, write_json_results
 from foreglow.lab.studies.config_files import files_of
 from foreglow.lab.studies.detector.rows import check_given, given_digest, split_digest
 from foreglow.lab.studies.progress import Progress
-from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS
+from foreglow.lab.studies.reproduction.experiments import EXPERIMENTS, counted_splits
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.models import model_path
 from foreglow.parallel import Local, Parent, Workers
@@ -109,12 +109,12 @@ def run_experiments(
             f"{out}: --epochs: expected that of the networks trained here, {begun or 'the default'}, got "
             f"{plan.epochs or 'the default'}; name another folder"
         )
-    digest = _data_digest(plan)
+    digest, files = _data_digest(plan), tuple(files_of(plan.config).values())
     for wave in WAVES:
         outer, inner = (workers or Local(), Local()) if len(wave) > 1 else (Local(), workers or Local())
         todo: dict[str, str] = {}
         for name in wave:
-            key = _key(name, plan, out, digest)
+            key = _key(name, plan, out, digest, files)
             before, found = known.get(name, {}), _results_digest(name, out)
             if before.get("key") != key or not found or before.get("results") != found:
                 todo[name] = name
@@ -181,19 +181,21 @@ def _words(name: str, plan: ReproductionPlan, out: Path) -> str:
     return shlex.join(map(str, ("foreglow", *EXPERIMENTS[name].command(plan, out / name))))
 
 
-def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str) -> str:
-    """Digest of what decides an experiment's results: data, options, models, our version; not the folder, which may be
-    moved.
+def _key(name: str, plan: ReproductionPlan, out: Path, data_digest: str, of_config: Sequence[Path]) -> str:
+    """Digest of what decides an experiment's results: data, options, models, our version; not where files and folders
+    are, which may be moved.
     """
     words = EXPERIMENTS[name].command(plan, out / name)
-    parts = [metadata.version("foreglow"), data_digest, *(str(word).replace(str(out), "") for word in words)]
+    parts: list[Any] = [metadata.version("foreglow"), data_digest]
+    parts += ["" if isinstance(word, Path) else str(word) for word in words]
+    parts += [counted_splits(plan)] if name == "data" else []  # of the other cycle as well
     parts += [split_digest(split_in(word, "test")) for word in words if word in plan.straight]
     given = [word for word in words if isinstance(word, Path) and not word.is_relative_to(out / name)]
     parts += [given_digest(row, path) for row, path in plan.models.items() if path in given]
     files = [model_path(path) for path in given if path not in plan.models.values()]
     if EXPERIMENTS[name].runs_pipeline:
         parts.append(plan.config.model_dump_json())
-        files += files_of(plan.config).values()
+        files += of_config
     parts += [file_digest(file) for file in files if file.is_file()]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
