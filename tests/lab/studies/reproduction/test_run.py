@@ -145,7 +145,7 @@ def test_data_that_were_moved_are_the_same(data: Path, tmp_path: Path, monkeypat
     run_experiments(ReproductionPlan(data, straight=(tmp_path / "straight", data)), tmp_path / "out", progress=quiet)
     calls.clear()
     monkeypatch.chdir(shutil.copytree(data, tmp_path / "elsewhere"))
-    moved = shutil.move(tmp_path / "straight", tmp_path / "moved")
+    moved = (tmp_path / "straight").rename(tmp_path / "moved")
     run_experiments(ReproductionPlan(Path(), straight=(moved, Path())), tmp_path / "out", progress=quiet)
     assert calls == []
 
