@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -342,3 +343,14 @@ def test_raw_dv(tmp_path: Path, size_px: tuple[int, int], rate_hz: int, frame_by
         path.write_bytes(whole + whole[:num_bytes])
         with pytest.raises(ValueError, match=f"night.dv: truncated video, {frame_bytes - num_bytes} bytes are missing"):
             list(Video(path))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".ts"])
+def test_two_videos_that_are_read_at_once_are_whole(tmp_path: Path, suffix: str) -> None:
+    """PyAV gave the pictures of one the numbers of the other, which looked as if some were missing."""
+    path = make_video(tmp_path / f"clip{suffix}", codec="libx264", num_frames=12)
+    first, second = iter(Video(path)), iter(Video(path))
+    numbers = [next(first).frame for _ in range(3)]
+    pairs = list(itertools.zip_longest(first, second))
+    assert numbers + [frame.frame for frame, _ in pairs if frame is not None] == list(range(12))
+    assert [frame.frame for _, frame in pairs] == list(range(12))

@@ -112,7 +112,7 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
     size_bytes = size_bytes_of(codec.name, codec.extradata)
     unshown = Unshown(codec.codec.canonical_name, codec.extradata)
     for number, (packet, is_broken) in enumerate(with_losses(_packets(container, stream), losses)):
-        packet.opaque = number
+        packet.opaque = (number,)  # PyAV knows it by its address, and a small number has the same one in every thread
         if is_broken:
             broken = number
         if key < 0 and packet.is_keyframe:
@@ -142,7 +142,7 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
             damaged = number
             pictures = _leniently_decoded(codec, packet)
         for picture in pictures:
-            origin = number if picture.opaque is None else picture.opaque
+            origin = number if picture.opaque is None else picture.opaque[0]
             if picture.is_corrupt:
                 damaged = max(damaged, origin)
             if picture.key_frame or (key < 0 and origin in first_keys):  # some decoders mark no picture
