@@ -64,6 +64,11 @@ def test_results_of_coco_name_images_by_the_ids_of_its_labels(tmp_path: Path) ->
         assert evaluate_split(labels, results).f1 == 1.0
     result = foreglow_command("labels", "import", labels, "--out", tmp_path / "own")
     assert f"COCO's results by its ids are compared with {labels} itself" in result.stdout
+    doubt = f"{results}: its image ids are taken for numbers of frames, not for those in {labels}, of which"
+    result = foreglow_command("evaluate", tmp_path / "own", "--predictions", results)
+    assert f"{doubt} {tmp_path / 'own'} is" in result.stdout
+    with pytest.warns(UserWarning, match=re.escape(doubt)):
+        evaluate_split(tmp_path / "own", results)
     again = tmp_path / "again.json"
     result = foreglow_command("labels", "export", tmp_path / "own", "--format", "coco", "--out", again)
     assert [each["id"] for each in json.loads(again.read_text())["images"]] == [0, 1, 2, 3]  # as a run counts them

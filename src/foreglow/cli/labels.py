@@ -81,7 +81,7 @@ def import_(
 
     dataset = exchange.LabelFile(source, images)
     origins = origins_of(dataset)
-    exchange.write_split(dataset, out, origins)
+    exchange.write_split(dataset, out, origins, dataset.path if dataset.coco_ids else None)
     found = dataset.images_read
     lines = [_counted(found), *exchange.lost_lines(dataset.lost), *dataset.unknown_vehicles]
     num_lost_parts = sum(isinstance(key, str) for key in dataset.passed_over)

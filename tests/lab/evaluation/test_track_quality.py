@@ -110,13 +110,26 @@ def test_false_tracks_where_nobody_is() -> None:
     assert (only.num_false, only.num_false_empty, only.empty_s) == (2, 1, 1.0)
 
 
-def test_vehicles_are_judged_instead_of_tracks() -> None:
-    """Vehicle 4 is both tracks: it holds light by one, and is found by the other one's box, whatever its own state."""
+def test_false_vehicles_are_counted_beside_false_tracks() -> None:
+    """Vehicle 4 is both tracks: it holds light by one, and is found by that one's box, whatever its own state."""
     tracks = tracks_of((0, TENTATIVE, 0), (1, CONFIRMED, 1))
     states, of_tracks = np.array([int(CONFIRMED)]), np.array([4, 4])
     vehicles = Vehicles(np.array([4]), states, np.zeros(1), np.array([False]), of_tracks, np.array([1]))
     lights = {0: [light(0, 5, 5)]}
     (alone,) = matched(lights, {0: tracks})
     (only,) = matched(lights, {0: dataclasses.replace(tracks, vehicles=vehicles)})
-    assert (alone.num_plausible, alone.num_false, math.isnan(alone.vehicles[0].found_s)) == (1, 1, True)
-    assert (only.num_plausible, only.num_false, only.vehicles[0].found_s) == (1, 0, 0.0)
+    (dark,) = matched({0: []}, {0: dataclasses.replace(tracks, vehicles=vehicles)})
+    assert (alone.num_false, alone.num_false_vehicles, math.isnan(alone.vehicles[0].found_s)) == (1, None, True)
+    assert (only.num_false, only.num_false_vehicles, only.vehicles[0].found_s) == (1, 0, 0.0)
+    assert (dark.num_false, dark.num_false_vehicles) == (1, 1)
+
+
+@pytest.mark.parametrize(("gap_px", "num_groups"), [(20.0, 0), (20.5, 1)])
+def test_tracks_that_come_as_close_as_their_size_are_one_group(gap_px: float, num_groups: int) -> None:
+    """Track 0 holds light; track 1, 20 px wide and without, is close to it in the second image, if at all."""
+    here, far = np.array(HERE), np.array([100.0, 0.0, 120.0, 10.0])
+    near = np.array([10.0 + gap_px, 0.0, 30.0 + gap_px, 10.0])
+    both = tracks_of((0, CONFIRMED, 0), (1, CONFIRMED, -1))
+    shown = {k: dataclasses.replace(both, boxes_xyxy_px=np.array([here, box])) for k, box in enumerate((far, near))}
+    (only,) = matched({0: [light(0, 5, 5)], 1: []}, shown)
+    assert (only.num_plausible, only.num_false, only.num_false_groups) == (2, 1, num_groups)

@@ -41,6 +41,9 @@ from foreglow.wording import exact_seconds
 _HIDDEN = ".import.partial"
 """Folder for a split until all of it is written."""
 
+RENUMBERED = "renumbered"
+"""The field of a set's `info` that names the file of COCO whose images have other ids than those of the set."""
+
 ORIGIN = "origin"
 """The field of a set's `info` that says for which video or folders its labels are: a list of `Origin`."""
 
@@ -221,7 +224,9 @@ def write_labels_file(path: Path | str, labels: LabelSet, name: str, *, is_guess
     return Counter(labels.lost) + lost
 
 
-def write_split(dataset: LabelledSource, root: Path | str, origins: Sequence[Origin] = ()) -> int:
+def write_split(
+    dataset: LabelledSource, root: Path | str, origins: Sequence[Origin] = (), renumbered: Path | None = None
+) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 
     Images and labels appear when all are written; what a killed process has left of them is removed by the next one.
@@ -230,6 +235,7 @@ def write_split(dataset: LabelledSource, root: Path | str, origins: Sequence[Ori
         dataset: The data set.
         root: The folder of the split.
         origins: The video or the folders that it is of, for its `info`.
+        renumbered: The file of COCO in which its images have other ids, for its `info`; None without one.
 
     Raises:
         ValueError: If an image or its labels cannot be used, `root` holds images or labels already, or another run is
@@ -242,7 +248,9 @@ def write_split(dataset: LabelledSource, root: Path | str, origins: Sequence[Ori
         hidden = root / _HIDDEN
         shutil.rmtree(hidden, ignore_errors=True)  # of a run that was killed
         try:
-            num_images = _write_sequences(dataset, hidden, root, origins)
+            info = {"rate_hz": dataset.rate_hz} | ({} if renumbered is None else {RENUMBERED: str(renumbered)})
+            info |= {ORIGIN: OriginsFile(tuple(origins)).model_dump(mode="json")} if origins else {}
+            num_images = _write_sequences(dataset, hidden, root, info)
             if not num_images:
                 raise ValueError(f"{dataset.origin}: expected at least one labelled image that can be read, found none")
             for part in ("images", "labels"):
@@ -260,12 +268,9 @@ def _remove_empty(folder: Path) -> None:
             each.rmdir()
 
 
-def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, origins: Sequence[Origin]) -> int:
+def _write_sequences(dataset: LabelledSource, folder: Path, root: Path, info: Mapping[str, Any]) -> int:
     """As `write_split`, into `folder`, which becomes `root`."""
     num_images = 0
-    info = {"rate_hz": dataset.rate_hz} | (
-        {ORIGIN: OriginsFile(tuple(origins)).model_dump(mode="json")} if origins else {}
-    )
     with PVDNWriter(folder, info=info, name=root) as writer:
         for sequence in dataset.sequences:
             part = dataset.only(sequence.directory)

@@ -192,10 +192,10 @@ def vehicle_facts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceTracks:
-    """What the tracks of one sequence are worth, or its vehicles where the tracker confirms these: then each vehicle
-    counts as one track, with all boxes of its tracks.
+    """What the tracks of one sequence are worth.
 
-    A track *has held* a light once one of its detections, so far, had the light in its box, edges included.
+    A track *has held* a light once one of its detections, so far, had the light in its box, edges included. Tracks are
+    *close* if in some image, both plausible, their boxes are no further apart than the larger one's longer side.
 
     Attributes:
         duration_s: Its images over their rate.
@@ -203,8 +203,11 @@ class SequenceTracks:
         num_false: Those of them that never held a light, neither labelled nor doubtful, as long as they lived.
         empty_s: Time in images without any vehicle's light, labelled or doubtful.
         num_false_empty: Those false ones that first were plausible in such an image: nobody was there at all.
+        num_false_groups: Groups of plausible tracks, those that are close being in one, in which none has held a light.
+        num_false_vehicles: Confirmed vehicles of which no track has held a light; None of a tracker that knows none.
         vehicles: Each oncoming vehicle with a labelled light, in the order of their ids; `found_s` is when the box of
-            a plausible track first holds a light of it, as in the paper.
+            a plausible track first holds a light of it, as in the paper. Of a tracker that confirms vehicles, the
+            tracks of a confirmed one are plausible here.
     """
 
     sequence_id: int
@@ -213,6 +216,8 @@ class SequenceTracks:
     num_false: int
     empty_s: float
     num_false_empty: int
+    num_false_groups: int
+    num_false_vehicles: int | None
     vehicles: tuple[FirstFound, ...]
 
 
@@ -240,15 +245,23 @@ def _match_sequence(
     """What the tracks of one sequence, with its images in the order of time, are worth."""
     plausible: dict[int, int] = {}  # by track, the image in which it first was
     lit: set[int] = set()  # tracks that have held any light
+    groups = _Groups()
+    confirmed: set[int] | None = None  # vehicles
+    lit_vehicles: set[int] = set()
     firsts: dict[int, dict[str, float]] = {}  # by vehicle, times and indices of images
     for index, image_id in enumerate(image_ids):
         in_image, now_s = tracks[image_id], labels.time_s[image_id]
-        unit_ids, is_plausible = _units(in_image)
-        plausible = dict.fromkeys(unit_ids[is_plausible].tolist(), image_id) | plausible
+        plausible = dict.fromkeys(in_image.ids[in_image.is_plausible].tolist(), image_id) | plausible
+        groups.join(in_image.ids[in_image.is_plausible], in_image.boxes_xyxy_px[in_image.is_plausible])
+        is_shown = in_image.is_plausible
+        if in_image.vehicles is not None:
+            its = in_image.vehicles
+            now = its.ids[its.states != TrackState.TENTATIVE]
+            confirmed = (confirmed or set()) | set(now.tolist())
+            is_shown = np.isin(its.of_tracks, now)
         is_detected = in_image.detections >= 0
-        ids = unit_ids[is_detected].tolist()
+        ids = in_image.ids[is_detected].tolist()
         boxes = boxes_xyxy_px[image_id][in_image.detections[is_detected]]
-        lit |= {ids[box] for _, box in _held(labels.doubtful_px[image_id], boxes)}
         lights = labels.lights[image_id]
         points_px = np.array([light.position_px for light in lights], np.float64).reshape(-1, 2)
         for light in lights:
@@ -256,8 +269,12 @@ def _match_sequence(
                 first = firsts.setdefault(light.vehicle_id, {"light": now_s, "light_index": index})
                 if light.is_direct:
                     first.setdefault("lamp", now_s)
-        lit |= {ids[box] for _, box in _held(points_px, boxes)}
-        for point, _ in _held(points_px, in_image.boxes_xyxy_px[is_plausible]):
+        held = [ids[box] for _, box in (*_held(labels.doubtful_px[image_id], boxes), *_held(points_px, boxes))]
+        lit |= set(held)
+        if in_image.vehicles is not None:
+            of_track = dict(zip(in_image.ids.tolist(), in_image.vehicles.of_tracks.tolist(), strict=True))
+            lit_vehicles |= {of_track[track_id] for track_id in held}
+        for point, _ in _held(points_px, in_image.boxes_xyxy_px[is_shown]):
             if not lights[point].is_rear:
                 first = firsts[lights[point].vehicle_id]
                 first.setdefault("found", now_s)
@@ -271,6 +288,8 @@ def _match_sequence(
         num_false=len(false),
         empty_s=len(labels.empty_images.intersection(image_ids)) / labels.rate_hz,
         num_false_empty=sum(plausible[track_id] in labels.empty_images for track_id in false),
+        num_false_groups=sum(lit.isdisjoint(group) for group in groups.found()),
+        num_false_vehicles=None if confirmed is None else len(confirmed - lit_vehicles),
         vehicles=tuple(
             FirstFound(
                 sequence_id,
@@ -285,13 +304,33 @@ def _match_sequence(
     )
 
 
-def _units(tracks: Tracks) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """What is confirmed, tracks or vehicles: for each track the id of its unit, and whether that is plausible."""
-    vehicles = tracks.vehicles
-    if vehicles is None:
-        return tracks.ids, tracks.is_plausible
-    plausible_ids = vehicles.ids[vehicles.states != TrackState.TENTATIVE]
-    return vehicles.of_tracks, np.isin(vehicles.of_tracks, plausible_ids)
+class _Groups:
+    """Tracks that were close to one another, directly or by way of others."""
+
+    def __init__(self) -> None:
+        self._above: dict[int, int] = {}  # by track another one of its group, or itself
+
+    def join(self, ids: NDArray[np.int64], boxes_xyxy_px: NDArray[np.floating]) -> None:
+        """Joins the tracks of an image whose boxes are close."""
+        for track_id in ids.tolist():
+            self._above.setdefault(track_id, track_id)
+        starts, ends = boxes_xyxy_px[:, :2], boxes_xyxy_px[:, 2:]
+        gaps = np.maximum(starts[:, None] - ends, starts - ends[:, None]).max(axis=-1, initial=0.0)
+        sides = (ends - starts).max(axis=-1, initial=0.0)
+        for one, other in np.argwhere(np.triu(gaps <= np.maximum(sides[:, None], sides), 1)):
+            self._above[self._first(int(ids[one]))] = self._first(int(ids[other]))
+
+    def found(self) -> list[set[int]]:
+        """The groups."""
+        members: dict[int, set[int]] = {}
+        for track_id in self._above:
+            members.setdefault(self._first(track_id), set()).add(track_id)
+        return [*members.values()]
+
+    def _first(self, track_id: int) -> int:
+        while self._above[track_id] != track_id:
+            track_id = self._above[track_id]
+        return track_id
 
 
 def _held(points_px: NDArray[np.float64], boxes_xyxy_px: NDArray[np.floating]) -> list[tuple[int, int]]:

@@ -76,8 +76,7 @@ def test_the_benefit_worked_by_hand() -> None:
     assert (result.occluded_before_production_s.num, result.occluded_before_production_s.mean) == (2, 2.25)
     assert result.before_human_s.mean == pytest.approx((0.3 + 0.3 - 1.2) / 3)
     assert (result.before_sight_s.num, result.before_sight_s.mean) == (1, 0.5)  # of the first alone
-    # Of three occluded ones the first and the last, which never comes into sight.
-    assert result.provident_share == pytest.approx(2 / 3)
+    assert result.provident_share == 0.5  # of the first and the third: the last never comes into sight
     assert result.num_missed == 1
     assert to_json(result)["detected_s"] == [1.5, 3.5, None, 3.0]
 

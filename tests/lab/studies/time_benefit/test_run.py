@@ -25,7 +25,6 @@ from foreglow.lab.studies.time_benefit.run import (
     run_experiment,
 )
 from foreglow.pipeline import Pipeline
-from foreglow.types import TrackState
 from tests.datasets.tiny_pvdn import make_pvdn, write
 from tests.lab.studies.detector_data import make_model
 
@@ -55,13 +54,16 @@ def test_our_tracker_is_the_one_that_the_pipeline_runs(results: TimeBenefitResul
     plausible = set()
     for result in Pipeline().run(dataset):
         assert result.tracks is not None
-        vehicles = result.tracks.vehicles
-        assert vehicles is not None
-        plausible |= set(vehicles.ids[vehicles.states != TrackState.TENTATIVE].tolist())
+        assert result.tracks.vehicles is not None
+        plausible |= set(result.tracks.ids[result.tracks.is_plausible].tolist())
     false = results.method("tracker, ours").false
     assert false is not None
     assert false.num_plausible == len(plausible)
-    assert false.num <= false.num_plausible
+    assert false.num_groups <= false.num < false.num_plausible
+    assert false.num_vehicles == 0
+    paper = results.method("tracker, paper").false
+    assert paper is not None
+    assert paper.num_vehicles is None
     assert false.minutes == pytest.approx(len(dataset) / 18.0 / 60.0)
     assert 0.03 < false.km < 0.2
 

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets import LabelledSource, open_labelled
+from foreglow.datasets import PVDN, LabelledSource, open_labelled
 from foreglow.datasets.exchange import LabelFile
+from foreglow.datasets.exchange.transfer import RENUMBERED
 from foreglow.files import checked_path
 from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
@@ -194,6 +195,10 @@ def compared_labels(
     if isinstance(dataset, LabelFile) and dataset.coco_ids and is_coco_results(path):
         line = f"{path}: its image ids are taken for those in {split}, not for numbers of frames"
         found = LabelsOfRun(dataset, dataset.coco_ids, line)
+    elif isinstance(dataset, PVDN) and RENUMBERED in dataset.labels.images_file.info and is_coco_results(path):
+        file = dataset.labels.images_file.info[RENUMBERED]
+        line = f"{path}: its image ids are taken for numbers of frames, not for those in {file}, of which {split} is"
+        found = LabelsOfRun(dataset, doubt=line)
     images = predictions.boxes_xyxy_px.keys()
     if images and images.isdisjoint(dataset.frame_ids if found.ids is None else found.ids):
         raise ValueError(f"{path}: expected boxes in images of {split}, got those of others, such as {min(images)}")

@@ -54,8 +54,8 @@ class TimeBenefit:
         occluded_before_production_s: `before_production_s` of occluded vehicles alone.
         before_human_s: How much earlier than a human.
         before_sight_s: How much earlier than the first annotated lamp; of occluded vehicles.
-        provident_share: Share of the occluded vehicles that are detected before their first annotated lamp; those that
-            are never detected count against it. NaN without any.
+        provident_share: Of the occluded vehicles that come into sight, the share that is detected before the first
+            annotated lamp; those that are never detected count against it. NaN without any.
     """
 
     name: str
@@ -77,6 +77,8 @@ class FalseTracks:
         num_plausible: Number of all confirmed tracks.
         km: Distance driven in them; NaN where the speed is unknown.
         num_empty: False tracks that came up in an image without any vehicle's light.
+        num_groups: Groups of tracks that are close to one another, none of which held light.
+        num_vehicles: Confirmed vehicles without any light, of a tracker that confirms vehicles; None of another one.
     """
 
     num: int
@@ -85,10 +87,13 @@ class FalseTracks:
     km: float
     num_empty: int
     empty_minutes: float
+    num_groups: int = 0
+    num_vehicles: int | None = None
 
     @classmethod
     def of(cls, sequences: Sequence[SequenceTracks], km: float) -> FalseTracks:
         """Of all sequences together."""
+        vehicles = [sequence.num_false_vehicles for sequence in sequences]
         return cls(
             num=sum(sequence.num_false for sequence in sequences),
             num_plausible=sum(sequence.num_plausible for sequence in sequences),
@@ -96,6 +101,8 @@ class FalseTracks:
             km=km,
             num_empty=sum(sequence.num_false_empty for sequence in sequences),
             empty_minutes=sum(sequence.empty_s for sequence in sequences) / 60.0,
+            num_groups=sum(sequence.num_false_groups for sequence in sequences),
+            num_vehicles=None if None in vehicles else sum(filter(None, vehicles)),
         )
 
     @property
@@ -113,9 +120,20 @@ class FalseTracks:
         """False tracks per minute of images without any vehicle's light; NaN without such images."""
         return ratio(self.num_empty, self.empty_minutes)
 
+    @property
+    def groups_per_minute(self) -> float:
+        """False groups of tracks per minute; NaN without any time."""
+        return ratio(self.num_groups, self.minutes)
+
+    @property
+    def vehicles_per_minute(self) -> float | None:
+        """False vehicles per minute; None of a tracker that confirms none, NaN without any time."""
+        return None if self.num_vehicles is None else ratio(self.num_vehicles, self.minutes)
+
     def to_json(self) -> dict[str, Any]:
         """All fields and rates by name."""
-        return fields_to_json(self, "per_minute", "per_km", "per_empty_minute")
+        rates = ("per_minute", "groups_per_minute", "vehicles_per_minute", "per_km", "per_empty_minute")
+        return fields_to_json(self, *rates)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,8 +170,7 @@ def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequenc
     detected = np.array(detected_s, np.float64)
     is_occluded = np.array([met.is_occluded for met in encounters], np.bool_)
     light_s, sight_s, production_s, human_s = _columns(encounters)
-    # A vehicle that never comes into sight is detected before it does, whenever that is.
-    is_provident = (detected < sight_s) | (~np.isnan(detected) & np.isnan(sight_s))
+    comes = is_occluded & ~np.isnan(sight_s)
     return TimeBenefit(
         name=name,
         detected_s=tuple(detected.tolist()),
@@ -162,7 +179,7 @@ def time_benefit(name: str, encounters: Sequence[Encounter], detected_s: Sequenc
         occluded_before_production_s=MeanAndSpread.of((production_s - detected)[is_occluded]),
         before_human_s=MeanAndSpread.of(human_s - detected),
         before_sight_s=MeanAndSpread.of((sight_s - detected)[is_occluded]),
-        provident_share=share(is_provident[is_occluded]),
+        provident_share=share((detected < sight_s)[comes]),
         num_missed=int(np.isnan(detected).sum()),
     )
 
