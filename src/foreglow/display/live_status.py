@@ -75,6 +75,8 @@ def live_lines(summary: LiveSummary) -> list[str]:
         f"{run.num_frames} frames, {summary.num_dropped} dropped for a newer one, {summary.num_late} late; "
         f"{run.num_tracks or 0} tracks"
     ]
+    if summary.num_out_of_order:
+        lines.append(f"{summary.num_out_of_order} not used, as their times do not follow those of the frames before")
     if 2 * summary.num_late > run.num_frames:
         lines.append("most were late: this machine is busy, or reads frames more slowly than they follow each other")
     times = {part: run.run_time_ms[part] for part in PARTS if part in run.run_time_ms}

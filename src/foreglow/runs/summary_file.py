@@ -166,6 +166,8 @@ class LivePart(_Strict):
     Attributes:
         num_dropped: Frames that were skipped because a newer one had come.
         num_late: Frames whose command came later than a frame's time after the image.
+        num_out_of_order: Frames that were not used, as their times did not follow those before; 0 in folders of
+            earlier versions, which did not count them.
         num_unrecorded: Results that sinks did not get, added up over all sinks.
         sink_errors: Why sinks failed.
         fault_counts: How often each fault began.
@@ -178,6 +180,7 @@ class LivePart(_Strict):
     sink_errors: Sequence[str]
     fault_counts: Mapping[str, Count]
     faults: Sequence[FaultEvent]
+    num_out_of_order: Count = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

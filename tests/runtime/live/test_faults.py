@@ -85,6 +85,7 @@ def test_frames_out_of_order(drive: list[Frame]) -> None:
         frame.timestamp_ns for frame in (*drive[:BEGIN], *drive[END:60])
     ]
     assert summary.fault_counts[LiveFault.OUT_OF_ORDER] == 1
+    assert summary.num_out_of_order == 10
 
 
 def test_a_camera_that_the_configuration_does_not_fit_ends_it(drive: list[Frame]) -> None:

@@ -137,7 +137,7 @@ class LiveLoop:
         self._limit: int | None = None
         self._is_ended = False
         self._lock = threading.RLock()
-        self._num_taken = self._num_hung = self._num_late = 0
+        self._num_taken = self._num_hung = self._num_late = self._num_out_of_order = 0
         self._beam: BeamCommand | None = None
         self._low_s = self._health_s = -1.0
         self._reported: tuple[tuple[str, ...], str, bool, bool] = ((), "", False, False)
@@ -222,6 +222,7 @@ class LiveLoop:
             run=run,
             num_dropped=self._mailbox.num_dropped,
             num_late=self._num_late,
+            num_out_of_order=self._num_out_of_order,
             num_unrecorded=sum(sink.num_lost for sink in self._sinks),
             sink_errors=[sink.words for sink in self._sinks if sink.error is not None],
             fault_counts=dict(self._book.counts.most_common()),
@@ -275,6 +276,7 @@ class LiveLoop:
                     if self._watch.arrived(frame):
                         self._mailbox.put(Arrival(frame, self._source.now_ns()))
                     else:
+                        self._num_out_of_order += 1
                         self._command_low()
                 reason = "the source has ended"
             except BaseException as error:  # no signal's, as this is not the main thread

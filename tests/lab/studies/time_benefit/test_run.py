@@ -107,8 +107,8 @@ def test_more_frames_confirm_later_and_less(tmp_path: Path) -> None:
     assert any(frame.benefit.name == FIVE_FRAMES for frame in frames)
 
 
-def method(name: str, num_false: int, delay_s: float) -> Method:
-    return Method(time_benefit(name, [], []), FalseTracks(num_false, 9, 2.0, math.nan, 0, 0.5), delay_s)
+def method(name: str, num_groups: int, delay_s: float) -> Method:
+    return Method(time_benefit(name, [], []), FalseTracks(99, 99, 2.0, math.nan, 0, 0.5, num_groups), delay_s)
 
 
 def test_the_least_delay_at_a_rate() -> None:

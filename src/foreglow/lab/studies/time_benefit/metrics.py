@@ -202,13 +202,13 @@ def mean_timeline(encounters: Sequence[Encounter], methods: Iterable[TimeBenefit
     return int(is_known.sum()), {name: mean(delays[is_known].tolist()) for name, delays in delays_s.items()}
 
 
-def least_delay_s(curve: Sequence[Method], max_false_per_minute: float) -> float:
+def least_delay_s(curve: Sequence[Method], max_groups_per_minute: float) -> float:
     """The least mean delay of those settings of a rule that keep to the limit; NaN if none does."""
     return min(
         (
             method.delay_s
             for method in curve
-            if method.false is not None and method.false.per_minute <= max_false_per_minute
+            if method.false is not None and method.false.groups_per_minute <= max_groups_per_minute
         ),
         default=math.nan,
     )

@@ -146,15 +146,15 @@ def sequences_figure(results: TimeBenefitResults) -> bytes:
 
 
 def confirmation_figure(results: TimeBenefitResults) -> bytes:
-    """Mean time to confirm over false confirmed tracks, a curve for each rule."""
+    """Mean time to confirm over false groups of confirmed tracks, a curve for each rule."""
     figure, (axes,) = subplots(1, width_in=6.5)
     for rule, curve in results.curves.items():
-        points = sorted((method.false.per_minute, method.delay_s) for method in curve if method.false is not None)
+        points = sorted((method.false.groups_per_minute, method.delay_s) for method in curve if method.false is not None)
         axes.plot(*np.array(points).T, marker="o", markersize=4, color=CURVE_COLOURS[rule], label=rule)
     paper = results.method("tracker, paper")
     assert paper.false is not None
-    axes.plot(paper.false.per_minute, paper.delay_s, "*", color=INK, markersize=11, label="the paper's tracker")
-    axes.set(xlabel="false confirmed tracks a minute", ylabel="mean seconds after the first artifact", ylim=(0, None))
+    axes.plot(paper.false.groups_per_minute, paper.delay_s, "*", color=INK, markersize=11, label="the paper's tracker")
+    axes.set(xlabel="false groups of confirmed tracks a minute", ylabel="mean seconds after the first artifact", ylim=(0, None))
     axes.legend(frameon=False)
     return png(figure)
 
@@ -248,8 +248,8 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
         f"tracker confirms {percent(ours.benefit.provident_share)} of these before their first lamp",
         f"these {signed(before.mean)} s before the production system (mean of {before.num}), all "
         f"{signed(ours.benefit.before_human_s.mean)} s before a human",
-        f"{number(ours.false.per_minute)} false tracks a minute, in {number(ours.false.groups_per_minute)} groups; "
-        f"{number(ours.false.vehicles_per_minute)} false vehicles a minute",
+        f"a minute: {number(ours.false.per_minute)} false tracks, {number(ours.false.groups_per_minute)} false groups of "
+        f"close tracks, {number(ours.false.vehicles_per_minute)} false vehicles",
     ]
 
 
@@ -308,7 +308,7 @@ def _add_curves(page: Page, results: TimeBenefitResults) -> None:
     page.section(
         "Confirmation: how soon, and how often in vain",
         "All rules with our tracker's association. The least mean time after the light, with at most as many false "
-        "confirmed tracks as",
+        "groups of tracks as",
     )
     five = next(method for method in results.curves["frames"] if method.benefit.name == FIVE_FRAMES)
     compared = {"five frames with our association": five, "the paper's tracker": results.method("tracker, paper")}
@@ -323,13 +323,13 @@ def _add_curves(page: Page, results: TimeBenefitResults) -> None:
         for method in curve
     ]
     page.table(Table(["rule", *CURVE_COLUMNS], rows))
-    page.figure(Figure(confirmation_figure(results), "Time to confirm over false confirmed tracks", "confirmation.png"))
+    page.figure(Figure(confirmation_figure(results), "Time to confirm over false groups of tracks", "confirmation.png"))
 
 
 def _comparison(name: str, method: Method, results: TimeBenefitResults) -> str:
-    """How much earlier each rule confirms than `method` does, at its rate of false tracks."""
+    """How much earlier each rule confirms than `method` does, at its rate of false groups."""
     assert method.false is not None
-    limit = method.false.per_minute
+    limit = method.false.groups_per_minute
     delays_s = {rule: least_delay_s(curve, limit) for rule, curve in results.curves.items()}
     rules = ", ".join(
         f"{rule} {number(delay_s)} s ({signed(method.delay_s - delay_s)} s earlier)"
