@@ -149,12 +149,14 @@ def confirmation_figure(results: TimeBenefitResults) -> bytes:
     """Mean time to confirm over false groups of confirmed tracks, a curve for each rule."""
     figure, (axes,) = subplots(1, width_in=6.5)
     for rule, curve in results.curves.items():
-        points = sorted((method.false.groups_per_minute, method.delay_s) for method in curve if method.false is not None)
+        judged = [(method.false, method.delay_s) for method in curve if method.false is not None]
+        points = sorted((false.groups_per_minute, delay_s) for false, delay_s in judged)
         axes.plot(*np.array(points).T, marker="o", markersize=4, color=CURVE_COLOURS[rule], label=rule)
     paper = results.method("tracker, paper")
     assert paper.false is not None
     axes.plot(paper.false.groups_per_minute, paper.delay_s, "*", color=INK, markersize=11, label="the paper's tracker")
-    axes.set(xlabel="false groups of confirmed tracks a minute", ylabel="mean seconds after the first artifact", ylim=(0, None))
+    words = "false groups of confirmed tracks a minute"
+    axes.set(xlabel=words, ylabel="mean seconds after the first artifact", ylim=(0, None))
     axes.legend(frameon=False)
     return png(figure)
 
@@ -248,8 +250,8 @@ def summary_lines(results: TimeBenefitResults) -> list[str]:
         f"tracker confirms {percent(ours.benefit.provident_share)} of these before their first lamp",
         f"these {signed(before.mean)} s before the production system (mean of {before.num}), all "
         f"{signed(ours.benefit.before_human_s.mean)} s before a human",
-        f"a minute: {number(ours.false.per_minute)} false tracks, {number(ours.false.groups_per_minute)} false groups of "
-        f"close tracks, {number(ours.false.vehicles_per_minute)} false vehicles",
+        f"a minute: {number(ours.false.per_minute)} false tracks, {number(ours.false.groups_per_minute)} false groups "
+        f"of close tracks, {number(ours.false.vehicles_per_minute)} false vehicles",
     ]
 
 
