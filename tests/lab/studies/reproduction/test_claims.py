@@ -181,8 +181,9 @@ def test_a_search_that_ends_where_it_began_reproduces_nothing(parameter: str) ->
     assert found(3, gap_px=5)[0] == NEEDS
     kept = "the search begins with the paper's parameters, and found none better in 200 trials"
     assert found(200) == (TOLD, kept)
-    others = {"kappa": 0.45, "window_px": 18, "min_deviation": 0.02, "gap_px": 5}
+    others = {"kappa": 0.45, "window_px": 18, "gap_px": 5}
     assert found(MIN_TRIALS, **others)[0] == REPRODUCED
+    assert found(MIN_TRIALS, **others | {"min_deviation": 0.0})[0] == (DIFFERS if parameter == "s" else REPRODUCED)
 
 
 def test_one_driver() -> None:

@@ -20,8 +20,8 @@ Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
 
 REPRODUCED, DIFFERS, GIVEN = "reproduced", "differs", "by construction"
 NEEDS, TOLD, UNMEASURED = "needs", "beside it", "not measurable"
-"""What is said of a claim; `by construction` where ours agrees on any data, and `beside it` where both values are told
-and nothing is compared.
+"""What is said of a claim; `by construction` where ours could hardly do otherwise than agree, and `beside it` where both
+values are told and nothing is compared.
 """
 
 AGREEMENTS: Mapping[str, str] = {
@@ -60,7 +60,7 @@ class Claim:
         beside: What is told behind our value, and not compared.
         image: The study's file that is shown instead of a value; empty for none.
         network: The row of the paper's table whose network our value is of; empty for none.
-        holds_by: Why our value agrees with the paper's on any data; empty where it depends on them.
+        holds_by: Why our value could hardly do otherwise than agree, on any data; empty where it depends on them.
         is_searched: Whether our value is of the search for parameters, which begins with the paper's.
         row: Of a table of the paper, the row that it is in; empty outside of them.
         column: Of that table.

@@ -85,7 +85,7 @@ VERDICTS = {
     "behind `not compared`: by a tolerance, such as 0.02 for scores and 0.2 s for times of detection; run-times, by "
     "their means, and gains are no worse (`claims.toml` has the rule of each)",
     DIFFERS: "at least one does not, and why",
-    GIVEN: "they agree, and would on any data: no evidence",
+    GIVEN: "they agree, and could hardly do otherwise on any data, for this reason: no evidence",
     TOLD: "both are told; there is nothing to compare, such as words, pictures, a setting that is the paper's, or "
     "parameters that the search began with and kept",
     NEEDS: "what it takes to have a value that can be compared",
