@@ -20,8 +20,8 @@ Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
 
 REPRODUCED, DIFFERS, GIVEN = "reproduced", "differs", "by construction"
 NEEDS, TOLD, UNMEASURED = "needs", "beside it", "not measurable"
-"""What is said of a claim; `by construction` where ours could hardly do otherwise than agree, and `beside it` where both
-values are told and nothing is compared.
+"""What is said of a claim; `by construction` where ours could hardly do otherwise than agree, and `beside it` where
+both values are told and nothing is compared.
 """
 
 AGREEMENTS: Mapping[str, str] = {
