@@ -110,6 +110,26 @@ def test_boxes_and_depth_images(split: Path, simulated: DistanceResults, tmp_pat
     )
 
 
+@pytest.mark.parametrize(
+    ("gp", "said"),
+    [
+        (0.35, "gp has the least median absolute error, 0.35. As in the paper"),
+        (0.5, "psd_2d has the least median absolute error, 0.40; gp 0.50. This contradicts the paper"),
+    ],
+)
+def test_the_best_method_is_said_once(simulated: DistanceResults, gp: float, said: str) -> None:
+    medians = {"gp": gp, "psd_2d": 0.4}
+    findings = [
+        dataclasses.replace(
+            found, errors=dataclasses.replace(found.errors, median_absolute=medians[found.method.estimator])
+        )
+        for found in find(simulated)
+        if found.method.estimator in medians
+    ]
+    _, direct, *_ = beside_paper(simulated, findings)
+    assert direct == f"Of the paper's methods, direct light: {said}, in which gp is the best"
+
+
 def test_a_camera_of_few_bits_is_seen_at_full_scale(split: Path, simulated: DistanceResults, tmp_path: Path) -> None:
     boxes, depth = told(simulated, tmp_path)
     found = []

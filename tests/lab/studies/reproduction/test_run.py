@@ -342,8 +342,8 @@ def test_our_pipeline_goes_by_its_name(data: Path) -> None:
         found = answers(ReproductionPlan(data, pipeline=pipeline), outcomes)
         return next(told.ours for told in found if told.claim.id == "tracker-before-human")
 
-    assert words() == "+0.50 s, preset foreglow (vehicles: 3)"
-    assert words("--preset", "paper") == "+0.50 s, --preset paper (vehicles: 3)"
+    assert words() == "no value; not compared: +0.50 s, preset foreglow (vehicles: 3)"
+    assert words("--preset", "paper") == "no value; not compared: +0.50 s, --preset paper (vehicles: 3)"
 
 
 def test_only_scenes_with_an_oncoming_driver_are_driven(data: Path, tmp_path: Path) -> None:

@@ -194,9 +194,10 @@ def beside_paper(results: DistanceResults, findings: Sequence[Finding]) -> Itera
         }
         if len(medians) > 1 and "gp" in medians:
             best = min(medians, key=lambda name: medians[name])
+            beside = "" if best == "gp" else f"; gp {medians['gp']:.2f}"
             yield (
                 f"Of the paper's methods, {light} light: {best} has the least median absolute error, "
-                f"{medians[best]:.2f}; gp {medians['gp']:.2f}. {_verdict(best == 'gp')}, in which gp is the best"
+                f"{medians[best]:.2f}{beside}. {_verdict(best == 'gp')}, in which gp is the best"
             )
     centre, maximum = (errors.get(("gp", heuristic, "indirect")) for heuristic in (DEFAULT_HEURISTIC, "maximum"))
     if centre is not None and maximum is not None:

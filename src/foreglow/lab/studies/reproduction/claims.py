@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,14 +11,28 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
+from foreglow.display.summary_lines import counted
 from foreglow.files import read_plain_json, read_toml
 from foreglow.lab.evaluation.ratios import mean
 from foreglow.lab.reports.page import percent
 
 Rule: TypeAlias = Literal["", "same", "close", "at least", "at most", "least"]
 
-REPRODUCED, DIFFERS, NEEDS, TOLD, UNMEASURED = "reproduced", "differs", "needs", "beside it", "not measurable"
-"""What is said of a claim; `beside it` where both values are told and nothing is compared."""
+REPRODUCED, DIFFERS, GIVEN = "reproduced", "differs", "by construction"
+NEEDS, TOLD, UNMEASURED = "needs", "beside it", "not measurable"
+"""What is said of a claim; `by construction` where ours could hardly do otherwise than agree, and `beside it` where
+both values are told and nothing is compared.
+"""
+
+AGREEMENTS: Mapping[str, str] = {
+    "at least": "no less than the paper's",
+    "at most": "no more than the paper's",
+    "least": "their order, not the values",
+}
+"""In what ours agrees with the paper's, by the rule; otherwise in the value."""
+
+MIN_TRIALS = 20
+"""Fewer say nothing of a search: it draws the first 10 at random, and then needs some to learn from."""
 
 NO_VALUE = "no value"
 
@@ -42,9 +55,13 @@ class Claim:
     """One thing that the paper says; the head of `claims.toml` explains the fields.
 
     Attributes:
+        values: The paper's numbers that are compared, each with its own of every text of `ours`, in their order.
+        tolerances: Of each of them, or one for all.
+        beside: What is told behind our value, and not compared.
         image: The study's file that is shown instead of a value; empty for none.
         network: The row of the paper's table whose network our value is of; empty for none.
-        holds_by: Why our value agrees with the paper's on any data; empty where it depends on them.
+        holds_by: Why our value could hardly do otherwise than agree, on any data; empty where it depends on them.
+        is_searched: Whether our value is of the search for parameters, which begins with the paper's.
         row: Of a table of the paper, the row that it is in; empty outside of them.
         column: Of that table.
     """
@@ -53,11 +70,12 @@ class Claim:
     place: str
     says: str
     paper: str
-    value: float = math.nan
+    values: tuple[float, ...] = ()
     rule: Rule = ""
-    tolerance: float = 0.0
+    tolerances: tuple[float, ...] = (0.0,)
     study: str = ""
     ours: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     image: str = ""
     reason: str = ""
     why: str = ""
@@ -66,6 +84,7 @@ class Claim:
     is_figure: bool = False
     network: str = ""
     holds_by: str = ""
+    is_searched: bool = False
     row: str = ""
     column: str = ""
 
@@ -76,9 +95,13 @@ class Claim:
             )
         if bool(self.study) != bool(self.ours or self.image):
             raise ValueError(f"claims.toml: {self.id}: expected a study with ours or image, or none of them")
-        if (self.rule in ("", "least")) != math.isnan(self.value):
+        if (self.rule in ("", "least")) == bool(self.values):
             raise ValueError(
                 f"claims.toml: {self.id}: expected a value with a rule that compares with it, and only then"
+            )
+        if len(self.tolerances) not in (1, len(self.values)):
+            raise ValueError(
+                f"claims.toml: {self.id}: expected one tolerance, or {len(self.values)}, got {len(self.tolerances)}"
             )
 
 
@@ -88,7 +111,7 @@ class Answer:
 
     Attributes:
         ours: Our value in words; the reason where there is none.
-        verdict: One of the five words above.
+        verdict: One of the six words above.
         because: Why it differs, or what it needs; may be empty.
     """
 
@@ -123,13 +146,16 @@ def answer(
         told = ["below"]
     else:
         told = [text for text in claim.ours if filled(text, results)]
+    beside = [] if results is None else [text for text in claim.beside if filled(text, results)]
+    ours = "; ".join(filled(text, results) for text in told) or NO_VALUE
+    if beside:
+        ours += "; not compared: " + "; ".join(filled(text, results) for text in beside)
     if not told and results is not None and claim.network in untrained:
-        return Answer(claim, NO_VALUE, NEEDS, untrained[claim.network])
+        return Answer(claim, ours, NEEDS, untrained[claim.network])
     if not told:
         verdict = NEEDS if claim.reason.startswith(NEEDS) else UNMEASURED
         because = claim.reason.removeprefix(f"{NEEDS} ")
-        return Answer(claim, NO_VALUE, verdict, "; ".join(part for part in (because, reason) if part))
-    ours = "; ".join(filled(text, results) for text in told)
+        return Answer(claim, ours, verdict, "; ".join(part for part in (because, reason) if part))
     if claim.only_pvdn and not is_pvdn:
         return Answer(claim, ours, NEEDS, claim.reason.removeprefix(f"{NEEDS} "))
     if claim.is_timed and is_busy:
@@ -138,25 +164,58 @@ def answer(
         return Answer(claim, ours, NEEDS, untrained[claim.network])
     if not claim.rule:
         return Answer(claim, ours, TOLD, claim.why)
+    start = beyond_start(results or {}) if claim.is_searched else None
+    if start is not None:
+        return Answer(claim, ours, *start)
     if holds(claim, [_numbers(text, results) for text in told]):
         if claim.study == "settings":
             return Answer(claim, ours, TOLD, "the same setting")
+        if claim.holds_by:
+            return Answer(claim, ours, GIVEN, claim.holds_by)
         on_data = "" if is_pvdn else "on simulated drives"
-        return Answer(claim, ours, REPRODUCED, claim.holds_by or on_data)
+        return Answer(claim, ours, REPRODUCED, "; ".join(filter(None, (AGREEMENTS.get(claim.rule), on_data))))
     because = claim.why or ("" if is_pvdn else "simulated drives, not PVDN")
     return Answer(claim, ours, DIFFERS, f"contradicts the paper; {because}" if claim.rule == "least" else because)
 
 
 def holds(claim: Claim, numbers: Sequence[Sequence[float]]) -> bool:
-    """Whether our numbers agree with the paper by the claim's rule; of each text of `ours` its numbers."""
-    number, slack = numbers[0][0], 1e-9 + claim.tolerance
+    """Whether all our numbers agree with the paper by the claim's rule; of each text of `ours` its numbers.
+
+    Of a text, as many are compared as the claim has values.
+    """
     if claim.rule == "least":
-        return all(first <= min(others) + slack for first, *others in numbers)
-    if claim.rule == "at least":
-        return number >= claim.value - slack
-    if claim.rule == "at most":
-        return number <= claim.value + slack
-    return abs(number - claim.value) <= slack
+        return all(first <= min(others) + _SLACK + claim.tolerances[0] for first, *others in numbers)
+    tolerances = claim.tolerances * (len(claim.values) if len(claim.tolerances) == 1 else 1)
+    return all(
+        _agrees(claim.rule, number, value, tolerance + _SLACK)
+        for ours in numbers
+        for number, value, tolerance in zip(ours[: len(claim.values)], claim.values, tolerances, strict=True)
+    )
+
+
+_SLACK = 1e-9
+"""Of sums and differences of floating-point numbers."""
+
+
+def _agrees(rule: Rule, number: float, value: float, slack: float) -> bool:
+    if rule == "at least":
+        return number >= value - slack
+    if rule == "at most":
+        return number <= value + slack
+    return abs(number - value) <= slack
+
+
+def beyond_start(results: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Why what the search chose says nothing of the paper's parameters: verdict and reason; None if it does.
+
+    Its first trial has the paper's parameters: where these stay the best, they agree with themselves.
+    """
+    num_trials = value_at(results, "num_finished") or 0
+    if num_trials < MIN_TRIALS:
+        return NEEDS, f"a search of at least {MIN_TRIALS} trials; this one had {num_trials}"
+    if value_at(results, "chosen.parameters") == value_at(results, "paper.parameters"):
+        return TOLD, f"the search begins with the paper's parameters, and found none better in {num_trials} trials"
+    return None
 
 
 def value_at(results: Any, path: str) -> Any:
@@ -189,14 +248,14 @@ def _numbers(text: str, results: Any) -> list[float]:
 def filled(text: str, results: Any) -> str:
     """`text` with its fields filled in; empty if one has no value.
 
-    Formats are Python's, `p` for percentage points, and `m` for milliseconds of seconds.
+    Formats are Python's, `p` for percentage points, `m` for milliseconds of seconds, and `#` with what is counted.
 
     >>> filled("{num} of {of.num:.1f}", {"num": 1, "of": {"num": 2}}), filled("{num}", {})
     ('1 of 2.0', '')
     >>> filled("{f - paper.f:+.1p}", {"f": 0.9, "paper": {"f": 0.82}})
     '+8.0 points'
-    >>> filled("{share:.0%}", {"share": 0.998})
-    '>99%'
+    >>> filled("{share:.0%} of {num:#driver}", {"share": 0.998, "num": 1})
+    '>99% of 1 driver'
     """
     if any(_computed(expression, results) is None for expression, _ in _FIELD.findall(text)):
         return ""
@@ -208,6 +267,8 @@ def _shown(value: Any, form: str) -> str:
         return "; ".join(value)
     if isinstance(value, list):
         return " x ".join(map(str, value))
+    if form.startswith("#"):
+        return counted(value, form[1:])
     if form == ".0%":
         return percent(value)
     if form.endswith("p"):
@@ -278,16 +339,24 @@ def _read() -> dict[str, Any]:
 
 
 def _claim(fields: Mapping[str, Any]) -> Claim:
-    return Claim(**{**fields, "ours": tuple(fields.get("ours", ()))})
+    lists = {name: tuple(fields.get(name, ())) for name in ("ours", "beside")}
+    numbers = {f"{name}s": _tuple(fields[name]) for name in ("value", "tolerance") if name in fields}
+    return Claim(**{name: field for name, field in fields.items() if f"{name}s" not in numbers} | lists | numbers)
+
+
+def _tuple(numbers: float | list[float]) -> tuple[float, ...]:
+    return tuple(numbers) if isinstance(numbers, list) else (numbers,)
 
 
 def _columns(table: Mapping[str, Any], columns: Mapping[str, Any]) -> Iterator[Claim]:
     """A claim for each of the paper's values in a row of its table."""
     for name, paper in table["paper"].items():
         column = columns[name]
-        number = re.match(r"[\d.]+", paper)
+        numbers = [float(number) for number in re.findall(r"[\d.]+", paper)]
+        if column.get("rule") == "at most":
+            del numbers[1:]  # the spread, which is neither better nor worse
         is_compared = "rule" in column or "tolerance" in column
-        compared = {"value": float(number[0]), "rule": "close"} if number is not None and is_compared else {}
+        compared = {"value": numbers, "rule": "close"} if is_compared else {}
         is_label = name.startswith("most_")
         row = table["says"] + (table.get("labelled", LABELLED) if is_label else "")
         why = {"why": table["why"]} if "why" in table and name.endswith("size") else {}
@@ -315,8 +384,8 @@ def paper_words(claim_id: str) -> str:
 
 
 def paper_value(claim_id: str) -> float:
-    """The paper's number of a claim."""
-    return _named(claim_id).value
+    """The paper's number of a claim, the first of several."""
+    return _named(claim_id).values[0]
 
 
 def _named(claim_id: str) -> Claim:
@@ -330,6 +399,6 @@ def beside_paper(study: str, results_file: Path) -> list[str]:
         answer(claim, results, is_pvdn=True) for claim in read_claims() if claim.study == study and not claim.image
     ]
     lines = [
-        f"{found.claim.says}: {found.claim.paper}; here {found.ours}" for found in answers if found.verdict != NEEDS
+        f"{found.claim.says}: {found.claim.paper}; here {found.ours}" for found in answers if found.ours != NO_VALUE
     ]
     return ["the paper's values, and those here:", *lines] if lines else []

@@ -324,17 +324,17 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *_camera_words(plan),
         ),
         _tune,
-        "{paper.train.num_images} images of train, {paper.val.num_images} of val",
+        "{paper.train.num_images:#image} of train, {paper.val.num_images} of val",
         ("train", "val", "test"),
     ),
     "detector": Experiment(
-        "results.json", _detector_words, _detector, "{num_images} images of {num_sequences} drives, {split}"
+        "results.json", _detector_words, _detector, "{num_images:#image} of {num_sequences:#drive}, {split}"
     ),
     "distance": Experiment(
         "results.json",
         lambda plan, folder: ("experiment", "distance", plan.root, "--out", folder),
         _distance,
-        "{num_images} images, {num_lights} lights with a box and a known range, {split}",
+        "{num_images:#image}, {num_lights:#light} with a box and a known range, {split}",
         is_simulated=True,
     ),
     "drive": Experiment(
@@ -365,7 +365,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *(("--production-category", plan.production_category) if plan.production_category != 6 else ()),
         ),
         _time_benefit,
-        "{num_sequences} drives, {name}",
+        "{num_sequences:#drive}, {name}",
         runs_pipeline=True,
     ),
     "glare": Experiment(
@@ -395,7 +395,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
             *_chain_words(plan, folder),
         ),
         _runtime,
-        "{networks[name=in process].num_frames} images, {data}",
+        "{networks[name=in process].num_frames:#image}, {data}",
         runs_pipeline=True,
     ),
 }

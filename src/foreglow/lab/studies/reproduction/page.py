@@ -17,6 +17,7 @@ from foreglow.lab.reports.figures import jpeg
 from foreglow.lab.reports.page import Figure, Page, Table
 from foreglow.lab.studies.reproduction.claims import (
     DIFFERS,
+    GIVEN,
     NEEDS,
     NO_VALUE,
     REPRODUCED,
@@ -80,10 +81,13 @@ MAX_PNG_BYTES = 200_000
 """Plots have less, pictures of a camera more."""
 
 VERDICTS = {
-    REPRODUCED: "the value measured here agrees with the paper's: by a tolerance, such as 0.02 for scores and 0.2 s "
-    "for times of detection; run-times and gains are no worse (`claims.toml` has the rule of each)",
-    DIFFERS: "it does not, and why",
-    TOLD: "both are told; there is nothing to compare, such as words, pictures, or a setting that is the paper's",
+    REPRODUCED: "every value of the row that is measured here agrees with the paper's, but for what is in brackets or "
+    "behind `not compared`: by a tolerance, such as 0.02 for scores and 0.2 s for times of detection; run-times, by "
+    "their means, and gains are no worse (`claims.toml` has the rule of each)",
+    DIFFERS: "at least one does not, and why",
+    GIVEN: "they agree, and could hardly do otherwise on any data, for this reason: no evidence",
+    TOLD: "both are told; there is nothing to compare, such as words, pictures, a setting that is the paper's, or "
+    "parameters that the search began with and kept",
     NEEDS: "what it takes to have a value that can be compared",
     UNMEASURED: "quoted by the paper from others, or no matter of measuring",
 }
