@@ -129,7 +129,8 @@ class LabelledSource(FileSource, ABC):
 
     @property
     def mean_rate_hz(self) -> float:
-        """Frames a second by the times of the selected images, at most `rate_hz`: lower where only some are there.
+        """Frames a second by the times of the selected images: below `rate_hz` where only some are there, and above it
+        where the set says less than its times tell.
 
         Pauses do not count, in which nobody looked: steps of more than `PAUSE_S`, and of `PAUSE_STEPS` usual ones.
         """
@@ -141,7 +142,7 @@ class LabelledSource(FileSource, ABC):
             return self.rate_hz
         looked_s = steps_s[steps_s <= max(PAUSE_S, PAUSE_STEPS * float(np.median(steps_s)))]
         found = len(looked_s) / float(looked_s.sum())
-        return found if found < 0.999 * self.rate_hz else self.rate_hz  # times may be whole milliseconds
+        return self.rate_hz if 0.999 < found / self.rate_hz < 1.02 else found  # times may be whole milliseconds
 
     def only(self, directory: str) -> Self:
         """The selected images of one sequence, by its folder; the labels are shared."""

@@ -66,6 +66,8 @@ def test_images_of_a_set_with_a_rate_may_be_at_any_times(split: Path) -> None:
     assert [dataset.time_s(image_id) for image_id in (11, 12, 13, 5, 7)] == [0.0, 0.25, 2.0, 0.0, 0.1]
     assert [dataset.read(image_id).timestamp_ns for image_id in (11, 12)] == [4_500_000_000, 4_750_000_000]
     assert dataset.mean_rate_hz == pytest.approx(3 / 2.1)
+    edit(path, "info", "rate_hz", value=1)
+    assert PVDN(split).mean_rate_hz == pytest.approx(3 / 2.1)  # times count, whatever the set says beside them
     content["info"]["rate_hz"] = 10
     for image in content["images"]:
         image["timestamp"] = None
