@@ -42,8 +42,8 @@ class Sightlines:
             boxes_xyxy_px: Shape (M, 4); what lies beyond the image counts with the angles of pixels in its middle, the
                 largest without distortion, up to a right angle.
             ranges_m: Shape (M,), from the camera; NaN where unknown: then any range from `min_range_m` on is possible.
-            sigmas_m: Shape (M,), standard deviations; infinite where unknown: then a vehicle of known range may be anywhere
-                from `CLOSEST_M` on.
+            sigmas_m: Shape (M,), standard deviations; infinite where unknown: a vehicle of known range may then be
+                anywhere from `CLOSEST_M` on.
 
         Returns:
             Spans, shape (M, 2, 4), for the left and the right lamp: least and greatest azimuth, least and greatest
