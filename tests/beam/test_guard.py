@@ -148,6 +148,7 @@ def test_guard_imports_no_policy() -> None:
     [
         (math.nan, math.inf, 150.0),
         (300.0, math.inf, 150.0),
+        (8.0, math.inf, 150.0),
         (55.0, 3.0, 150.0),
         (58.0, 3.9, 275.0),
         (100.0, 0.1, 275.0),
@@ -163,6 +164,8 @@ def test_light_at_a_vehicle(range_m: float, sigma_m: float, limit_cd: float) -> 
     command = next_check(running(), frame_at(25), tracks)
     assert command.mode == BeamMode.GLARE_FREE
     at_m = [15.0, 40.0, 1000.0] if math.isinf(sigma_m) else [range_m]
+    if math.isinf(sigma_m) and not math.isnan(range_m):  # anywhere, and its range above all
+        at_m += [4.0, 8.0, 12.0, range_m]
     shone = np.array([towards_cd(command, 0.03, -0.004, one_m) for one_m in at_m])
     assert (shone <= limit_cd).all()
     if not range_m < 15.0:  # nearer, the box alone is as wide as several LEDs' light

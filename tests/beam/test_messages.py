@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from foreglow.beam.gap_light import FULL
 from foreglow.beam.messages import (
     GAPS_ID,
     LEVELS_IDS,
@@ -158,9 +159,12 @@ def test_cantools_reads_what_we_write(command: BeamCommand, counter: int) -> Non
         assert decoded[4][f"Range{index}"] == (1022 if math.isnan(range_m) else range_m)
     assert decoded[4]["NumGaps"] == len(gaps.gaps_rad)
     assert decoded[4]["Ramp"] == pytest.approx(1.0)
+    is_told = command.mode == BeamMode.LOW or command.levels.max() >= FULL or decoded[4]["Mode"] == BeamMode.LOW
+    assert is_told  # the first command: nobody knows what light was before
     for part in decoded:
-        header = (part["Counter"], part["Time"], part["Mode"], part["HasFaults"])
-        assert header == (counter, command.timestamp_ns // 1_000_000 % 65536, command.mode, bool(command.faults))
+        header = (part["Counter"], part["Time"], part["HasFaults"])
+        assert header == (counter, command.timestamp_ns // 1_000_000 % 65536, bool(command.faults))
+    assert {part["Mode"] for part in decoded[:4]} == {command.mode}
 
 
 @quick
@@ -211,7 +215,8 @@ def test_other_frames() -> None:
 
 
 def test_content_that_no_command_has() -> None:
-    *parts, gaps = CommandEncoder().frames(command_of((1, 2), (3, 4)))
+    command = command_of((1, 2), (3, 4))
+    parts, gaps = encode_levels(command, 0), encode_gaps(command, 0)
     assert fault_of(resealed(parts[0], b3=3)) == LinkFault.CONTENT  # no such mode
     assert fault_of(resealed(parts[0], b3=0)) == LinkFault.CONTENT  # light with low beam
     assert fault_of(resealed(gaps, b3=3)) == LinkFault.CONTENT

@@ -10,7 +10,8 @@ import pytest
 
 from foreglow.beam import POLICIES, make_policy
 from foreglow.beam.policy import PaperPolicy, brightness
-from foreglow.config import BeamConfig
+from foreglow.beam.stage import BeamStage
+from foreglow.config import BeamConfig, GuardConfig
 from foreglow.types import BeamMode, Frame
 from tests.beam.made_up import FRAME_NS, box_around
 from tests.beam.policy_scenes import (
@@ -19,6 +20,7 @@ from tests.beam.policy_scenes import (
     LAMPS,
     LIGHT,
     TENTATIVE,
+    S,
     Seen,
     frame,
     holding,
@@ -98,3 +100,18 @@ def test_a_gap_for_what_has_no_range_has_none(name: str, seen: Seen) -> None:
         )
         assert np.isnan(command.gap_ranges_m).tolist() == [math.isnan(range_m)]
         assert (command.levels < 1.0).any()  # dark as for the nearest
+
+
+@pytest.mark.parametrize(("restore_s", "brightening_s"), [(2.0, 0.5), (0.5, 2.0), (2.0, 2.0)])
+@pytest.mark.parametrize("name", ["high", "paper", "foreglow"])
+def test_light_returns_after_low_beam_by_the_slower_of_the_two_times(
+    name: str, restore_s: float, brightening_s: float
+) -> None:
+    config = CONFIG.model_copy(update={"policy": name, "restore_s": restore_s})
+    stage = BeamStage(config, GuardConfig(brightening_s=brightening_s))
+    for is_damaged in (False, True):  # at the start, and after a fault
+        for number in range(40):
+            now = 40 * is_damaged + number
+            seen = dataclasses.replace(frame(now), is_damaged=is_damaged and not number)
+            level = stage.command(seen, tracks_at(now)).levels.max()
+            assert level == pytest.approx(min(number * S / 2.0, 1.0), abs=1e-6)

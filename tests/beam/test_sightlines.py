@@ -179,8 +179,10 @@ def test_spans_are_no_wider_than_the_box_needs() -> None:
     ("range_m", "sigma_m", "nearest_m"),
     [
         (math.nan, math.inf, 15.0),
-        (80.0, math.inf, 15.0),
-        (80.0, math.nan, 15.0),
+        (80.0, math.inf, CLOSEST_M),
+        (80.0, math.nan, CLOSEST_M),
+        (8.0, math.inf, CLOSEST_M),
+        (80.0, 1e9, CLOSEST_M),
         (80.0, 5.0, 70.0),
         (9.0, 0.1, 8.8),
         (3.0, 0.1, CLOSEST_M),
@@ -195,6 +197,14 @@ def test_what_is_not_known_may_be_anywhere(range_m: float, sigma_m: float, neare
         known, _ = lines.spans_rad(CAMERA, box, np.array([15.0]), np.array([1e-9]))
         assert (spans[..., [0, 2]] <= known[..., [0, 2]] + 1e-7).all()
         assert (spans[..., [1, 3]] >= known[..., [1, 3]] - 1e-7).all()
+
+
+@pytest.mark.parametrize("range_m", [8.0, 80.0])
+def test_a_range_without_a_sigma_is_as_one_with_a_very_great_sigma(range_m: float) -> None:
+    lines = Sightlines(LAMPS_M, guard_config())
+    box = np.array([[700.0, 500.0, 720.0, 520.0]])
+    spans = [lines.spans_rad(CAMERA, box, np.array([range_m]), np.array([sigma]))[0] for sigma in (math.inf, 1e12)]
+    np.testing.assert_allclose(spans[0], spans[1], atol=1e-9)
 
 
 def test_no_tracks() -> None:

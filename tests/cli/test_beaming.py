@@ -303,13 +303,6 @@ def test_pictures_and_a_can_log(tmp_path: Path, run: Path) -> None:
     assert names(tmp_path / "out") == RESULTS
 
 
-def test_compact_can_log(tmp_path: Path, run: Path) -> None:
-    can = pytest.importorskip("can")
-    beam(run, "--out", tmp_path, "--can", "log", "--compact", "--limit", 4)
-    with can.CanutilsLogReader(tmp_path / "beam.log") as log:
-        assert [each.arbitration_id for each in log] == [0x3B4] * 4
-
-
 @pytest.mark.slow
 def test_one_image_with_its_picture(tmp_path: Path, images: Path, equipment: tuple[object, ...]) -> None:
     beam(sorted(images.iterdir())[0], "--out", tmp_path / "out", *equipment, "--video")

@@ -2,7 +2,8 @@
 
 Four frames carry the level of each LED; a fifth carries the dark gaps, for cars whose lamps take borders instead. All
 frames of a command have the same counter and time. Each is protected as in AUTOSAR E2E profile 5: CRC, counter and data
-id. Values are rounded to the steps of the message so that the light is never brighter.
+id. Values are rounded to the steps of the message so that the light is never brighter; where gaps alone would say more
+light than the levels, their frame says low beam (`gap_light`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foreglow.beam.gap_light import GapLight
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
@@ -185,6 +187,7 @@ class CommandEncoder:
 
     Attributes:
         counter: Counter of the next command.
+        gap_light: Which commands the gaps alone can say.
     """
 
     def __init__(self, ramp_s: float = RAMP_S, *, has_levels: bool = True) -> None:
@@ -200,6 +203,7 @@ class CommandEncoder:
         self.counter = 0
         self._ramp_s = _checked_ramp_s(ramp_s)
         self._has_levels = has_levels
+        self.gap_light = GapLight(RAMPS_S[bisect_left(RAMPS_S, self._ramp_s)])
 
     def frames(self, command: BeamCommand) -> tuple[CanFrame, ...]:
         """The frames of all `MESSAGES`, in order; those with the levels only if they are wanted.
@@ -207,8 +211,10 @@ class CommandEncoder:
         Raises:
             ValueError: As `encode_levels` and `encode_gaps`.
         """
-        wanted = [encode for name, encode in MESSAGES.items() if self._has_levels or name != "levels"]
-        frames = tuple(frame for encode in wanted for frame in encode(command, self.counter, self._ramp_s))
+        said = dict.fromkeys(MESSAGES, command) | {"gaps": self.gap_light.told(command)}
+        if not self._has_levels:
+            del said["levels"]
+        frames = tuple(frame for name, one in said.items() for frame in MESSAGES[name](one, self.counter, self._ramp_s))
         self.counter = (self.counter + 1) % NUM_COUNTS
         return frames
 

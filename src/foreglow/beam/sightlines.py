@@ -42,7 +42,8 @@ class Sightlines:
             boxes_xyxy_px: Shape (M, 4); what lies beyond the image counts with the angles of pixels in its middle, the
                 largest without distortion, up to a right angle.
             ranges_m: Shape (M,), from the camera; NaN where unknown: then any range from `min_range_m` on is possible.
-            sigmas_m: Shape (M,), standard deviations; where they are not finite, ranges count as unknown.
+            sigmas_m: Shape (M,), standard deviations; infinite where unknown: a vehicle of known range may then be
+                anywhere from `CLOSEST_M` on.
 
         Returns:
             Spans, shape (M, 2, 4), for the left and the right lamp: least and greatest azimuth, least and greatest
@@ -53,8 +54,7 @@ class Sightlines:
         """
         count = len(ranges_m)
         spread_m = self._config.range_sigmas * sigmas_m
-        is_known = np.isfinite(ranges_m) & np.isfinite(spread_m)
-        nearest_m = np.where(is_known, np.fmax(ranges_m - spread_m, CLOSEST_M), self._config.min_range_m)
+        nearest_m = np.where(np.isfinite(ranges_m), np.fmax(ranges_m - spread_m, CLOSEST_M), self._config.min_range_m)
         farthest_m = np.maximum(ranges_m + spread_m, nearest_m)
         nearness = np.empty((count, 2, 1, 1))
         nearness[:, 0, 0, 0] = 1.0 / nearest_m

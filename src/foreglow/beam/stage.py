@@ -27,7 +27,8 @@ class BeamStage:
     """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it.
 
     A policy of somebody else gets copies: whatever it does to them, the guard judges what the tracker found, and what
-    the guard has passed is what is sent.
+    the guard has passed is what is sent. After low beam, and where the guard alone has dimmed, light returns in
+    `restore_s` as well, if that is longer than the guard's `brightening_s`; so cars that take gaps are told.
     """
 
     def __init__(
@@ -54,6 +55,8 @@ class BeamStage:
         self._policy = built(policy, make_policy, config, headlamps)
         self._is_ours = type(self._policy) in POLICIES.values()
         self._lit_street = LitStreet(lit_street or LitStreetConfig(), guard.white_level)
+        if config.restore_s > guard.brightening_s:
+            guard = guard.model_copy(update={"brightening_s": config.restore_s})
         self._guard = Guard(guard, headlamps)
 
     def command(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from foreglow.geometry import Camera
     from foreglow.photometry import Headlamps
     from foreglow.runtime import OutputFolder, ResultSink, RunSummary, Stepper
-    from foreglow.runtime.can_output import CanBus
+    from foreglow.runtime.can_output import CanBus, CanLogSink
     from foreglow.runtime.run import Replay
 
 
@@ -65,7 +65,7 @@ def beam(
     else:
         configuration = lamps.commanding(pipeline.configuration())
     headlamps = read_headlamps(configuration.beam.headlamps)
-    _check_can(can, headlamps, is_compact=compact)
+    _check_can(can, configuration, headlamps, is_compact=compact)
     stepper: Stepper
     origin: RunSummary | None = None
     among: Collection[int] | None = None
@@ -86,6 +86,7 @@ def beam(
         stepper, images = Pipeline(configuration), source
     frames = open_frames(images, reading, vehicle)
     camera = _checked_camera(frames, images, configuration, has_log=vehicle.can_log is not None)
+    logs: list[CanLogSink] = []
     if origin is not None and camera is not None:
         _say_other_calibration(source, origin, camera)
 
@@ -94,7 +95,8 @@ def beam(
         if video:
             sinks.append(beam_sink(frames, results, headlamps))
         if can is not None:
-            sinks.append(_can_sink(results, can, _ramp_s(configuration), is_compact=compact))
+            logs.append(_can_sink(results, can, _ramp_s(configuration), is_compact=compact))
+            sinks += logs
         return sinks
 
     summary = run_frames(
@@ -107,7 +109,8 @@ def beam(
         origin=origin,
         among=among,
     )
-    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary))
+    darker = _darker_lines(logs) if compact else ()
+    finish(summary, out, *source_notes(frames), *unused_lines(vehicle, summary), *darker)
 
 
 def _configuration_of_run(run: Path, options: PipelineOptions) -> PipelineConfig:
@@ -173,12 +176,14 @@ def _replay(run: Path, configuration: PipelineConfig) -> tuple[Replay, Path]:
     return Replay(configuration, results, str(run)), source_of_run(run)
 
 
-def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> None:
+def _check_can(kind: str | None, configuration: PipelineConfig, headlamps: Headlamps, *, is_compact: bool) -> None:
     """Checks that the CAN log can be written, before any work is done."""
     if kind is None:
         if is_compact:
             raise ValueError("--compact: expected --can beside it: it is about the CAN log")
         return
+    if is_compact and configuration.beam.ask:
+        raise ValueError("--compact: expected ask = false under [beam]: gaps alone cannot carry its questions")
     from foreglow.photometry import NUM_LEDS
     from foreglow.runtime.can_output import LOG_SUFFIXES
 
@@ -192,11 +197,21 @@ def _check_can(kind: str | None, headlamps: Headlamps, *, is_compact: bool) -> N
         )
 
 
-def _can_sink(results: OutputFolder, kind: str, ramp_s: float, *, is_compact: bool) -> ResultSink:
+def _can_sink(results: OutputFolder, kind: str, ramp_s: float, *, is_compact: bool) -> CanLogSink:
     """The sink for the CAN log."""
     from foreglow.runtime.can_output import CanLogSink
 
     return CanLogSink(results.partial(f"beam.{kind}"), suffix=f".{kind}", ramp_s=ramp_s, has_levels=not is_compact)
+
+
+def _darker_lines(logs: Collection[CanLogSink]) -> Iterator[str]:
+    """A line for a log of gaps that says low beam where there was light."""
+    for log in logs:
+        if log.gap_light.num_darker:
+            yield (
+                f"--compact: low beam in the place of {log.gap_light.num_darker} commands that dim LEDs without a gap, "
+                "or let light return more slowly than a ramp says"
+            )
 
 
 def _checked_camera(

@@ -37,7 +37,8 @@ class BeamConfig(FrozenModel):
         min_confidence: A gap for a lamp opens when its track, or the vehicle that it leads, has this confidence.
         min_hidden_confidence: The same for a hidden vehicle, by the track of its light.
         hold_s: A gap stays so long after its track was last seen, and an LED stays dark so long after its gap has gone.
-        restore_s: Time in which an LED brightens from off to full.
+        restore_s: Time in which an LED brightens from off to full, also after low beam; the guard's `brightening_s` if
+            that is longer.
         ask: Whether a shallow, short dip asks of light without a lamp in sight if it is our own, before a gap opens.
         response: Of the camera, for `ask`: black level, levels above it in which grey is proportional to light, and
             levels for e times the light from there on, in 255ths of white. By default that of PVDN's camera.

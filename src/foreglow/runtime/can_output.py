@@ -40,6 +40,9 @@ class CanLogSink:
 
     An .asc log counts time from its first frame. Sequences follow each other as on a `TimeAxis`, in the log and in the
     messages: time never goes back.
+
+    Attributes:
+        gap_light: Which commands the gaps alone could say.
     """
 
     def __init__(
@@ -67,6 +70,7 @@ class CanLogSink:
         self._path = path
         self._axis, self._has_frames = TimeAxis(), False
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
+        self.gap_light = self._encoder.gap_light
         self._written = AtomicFile(path)
         file: Any = self._written.file
         try:

@@ -16,7 +16,7 @@ from foreglow.config import BeamConfig, PipelineConfig, preset
 from foreglow.files import to_json
 from foreglow.lab.evaluation.occurrence import Sighting, lead_scores
 from foreglow.lab.simulation import Scene, long_drives, without_traffic
-from foreglow.lab.simulation.scenes.scene import EgoSpec, VehicleSpec
+from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec, VehicleSpec
 from foreglow.lab.studies.glare import run
 from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.drive import read_glare_drive
@@ -294,6 +294,21 @@ def test_low_beams_that_the_lamps_replace_are_told() -> None:
     )
     (line,) = remarks_on([named(f"S0000{number}", carpet=0.4) for number in range(4)])
     assert "4 of 4 drives (S00000, S00001, S00002 and others)" in line
+
+
+def test_low_beams_made_for_the_other_side_of_traffic_are_told() -> None:
+    def named(road: str, ego: str) -> NamedScene:
+        made = Scene(road=RoadSpec.model_validate({"traffic": road}), ego=EgoSpec.model_validate({"traffic": ego}))
+        return NamedScene(f"{road}-{ego}", made)
+
+    assert not list(remarks_on([named("left", "left"), named("right", "right")]))
+    (line,) = remarks_on([named("left", "left"), named("left", "right")])
+    assert line == (
+        "The scenes of 1 of 2 drives (left-right) have traffic on the left, and a car whose low beam is made for "
+        'traffic on the right (ego.traffic = "right"): it shines highest at oncoming drivers.'
+    )
+    (line,) = remarks_on([named("right", "left")])
+    assert "traffic on the right, and a car whose low beam is made for traffic on the left" in line
 
 
 def test_drives_of_another_version_are_not_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

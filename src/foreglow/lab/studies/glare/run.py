@@ -122,7 +122,7 @@ class GlareExperiment:
         results: By the limits of 49 CFR 571.108, with the curves over latency, margin and thresholds.
         others: The results by other limits.
         leads: How well it was predicted where hidden vehicles would appear, over all scenes.
-        remarks: What is different here from the scenes as their data set has them, a sentence each.
+        remarks: What is different here from the scenes as their data set has them, or odd in them, a sentence each.
     """
 
     results: GlareResults
@@ -382,13 +382,26 @@ def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: st
 
 
 def remarks_on(wanted: Sequence[NamedScene]) -> Iterator[str]:
-    """What of the scenes does not count here: a changed low beam, as all drives are with the matrix beam."""
+    """What to know of the scenes: low beams that the matrix beam replaces, and those that are made for abroad."""
     changed = {named.name: named.scene.ego.changed_low_beam for named in wanted}
     others = [name for name, fields in changed.items() if fields]
     if others:
         fields = ", ".join(f"ego.{field}" for field in LOW_BEAM_FIELDS if any(field in of for of in changed.values()))
-        names = ", ".join(others[:3]) + (" and others" if len(others) > 3 else "")
         yield (
-            f"The scenes of {len(others)} of {len(wanted)} drives ({names}) have a low beam of their own ({fields}); "
-            "here that of the headlamps (--lamps) is in its place."
+            f"The scenes of {len(others)} of {len(wanted)} drives ({_some(others)}) have a low beam of their own "
+            f"({fields}); here that of the headlamps (--lamps) is in its place."
         )
+    for side, other in (("left", "right"), ("right", "left")):
+        abroad = [
+            named.name for named in wanted if (named.scene.road.traffic, named.scene.ego.traffic) == (side, other)
+        ]
+        if abroad:
+            yield (
+                f"The scenes of {len(abroad)} of {len(wanted)} drives ({_some(abroad)}) have traffic on the {side}, "
+                f'and a car whose low beam is made for traffic on the {other} (ego.traffic = "{other}"): it shines '
+                "highest at oncoming drivers."
+            )
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (" and others" if len(names) > 3 else "")
