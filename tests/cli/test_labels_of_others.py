@@ -148,6 +148,23 @@ def test_labels_that_state_another_size_than_their_images(tmp_path: Path) -> Non
     assert said == f"foreglow: {split}: image size: expected 96x72 px as {run} has, got 192x144 px\n"
 
 
+def test_labels_whose_times_were_changed_since_the_run(tmp_path: Path) -> None:
+    split, run = make_pvdn(tmp_path / "day"), tmp_path / "run"
+    path = split / "labels" / "image_annotations.json"
+    file = json.loads(path.read_text())
+    assert foreglow_command("run", split, "--out", run).exit_code == 0
+    evaluate = ("evaluate", split, "--predictions", run / "frames.jsonl")
+    assert foreglow_command(*evaluate).exit_code == 0
+    file["info"]["rate_hz"] = 5
+    for image in file["images"]:
+        image["timestamp"] = None
+    path.write_text(json.dumps(file))
+    said = complaint(*evaluate)
+    assert re.search(
+        rf"^foreglow: {split}: image \d+: expected 0\.056 s after image \d+, as in {run}, got 0\.200 s", said
+    )
+
+
 def test_suggestions_of_another_run(tmp_path: Path) -> None:
     """Those of a second run on the same video are of the same frames."""
     videos = {name: make_video(tmp_path / f"{name}.mp4", num_frames=num) for name, num in (("a", 10), ("b", 12))}

@@ -23,6 +23,9 @@ from foreglow.runs.summary_file import SummaryFile, read_summary
 
 Value = TypeVar("Value")
 
+LEAST_CHANGE_S = 0.002
+"""Times that differ less are the same: some are whole milliseconds."""
+
 
 @dataclass(frozen=True, slots=True)
 class LabelsOfRun:
@@ -61,6 +64,7 @@ class LabelsOfRun:
             predictions.is_scored,
             self.by_image(predictions.direct_probabilities),
             self.by_image(predictions.light_kinds),
+            self.by_image(predictions.times_ns),
         )
 
 
@@ -116,6 +120,33 @@ def labels_of_run(run: Path, labelled: Path, dataset: LabelledSource) -> LabelsO
     if is_live or is_pvdn(source):  # without images, a split cannot be told from another one
         return LabelsOfRun(dataset)
     return LabelsOfRun(dataset, doubt=doubt)
+
+
+def check_times(run: Path, labelled: Path, dataset: LabelledSource, times_ns: Mapping[int, int]) -> None:
+    """Checks that the images of a split have the times that a run on a split found, by which its tracks went.
+
+    Args:
+        run: The folder of the run, or another one.
+        labelled: Where the labels are.
+        dataset: They, opened.
+        times_ns: By image, the time of the run's frame.
+
+    Raises:
+        ValueError: If they have others: the labels' times or rate were changed since.
+    """
+    path = run / "summary.json"
+    if not (path.is_file() and isinstance(dataset, PVDN) and is_pvdn(Path(read_summary(path).source))):
+        return
+    firsts: dict[int, int] = {}
+    for image_id in (each for each in dataset.frame_ids if each in times_ns):
+        first = firsts.setdefault(dataset.sequence(image_id).id, image_id)
+        now_s = dataset.time_s(image_id) - dataset.time_s(first)
+        then_s = (times_ns[image_id] - times_ns[first]) / 1e9
+        if abs(now_s - then_s) > LEAST_CHANGE_S:
+            raise ValueError(
+                f"{labelled}: image {image_id}: expected {then_s:.3f} s after image {first}, as in {run}, "
+                f"got {now_s:.3f} s; were times or rate changed since? run again"
+            )
 
 
 def _missing(dataset: LabelledSource) -> str:

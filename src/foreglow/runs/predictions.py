@@ -40,6 +40,7 @@ class Predictions:
         direct_probabilities: By image id, shape (N,), float64: that a box holds a lamp itself, NaN where unknown;
             images for which nothing is known are left out.
         light_kinds: By image id, shape (N, 4), float64, as in `Detections`, of images for which they are known.
+        times_ns: By image id, the times of a run's frames; empty for what is of no run.
 
     Raises:
         ValueError: If a field is of another type or shape, an image id is no number, a box is not finite or ends before
@@ -51,6 +52,7 @@ class Predictions:
     is_scored: bool = True
     direct_probabilities: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
     light_kinds: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+    times_ns: Mapping[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("boxes_xyxy_px", "scores", "direct_probabilities", "light_kinds"):
@@ -204,7 +206,7 @@ def read_predictions(path: Path | str) -> Predictions:
 def _from_lines(path: Path) -> Predictions:
     is_scored: bool | None = None
 
-    def convert(line: FrameLine) -> tuple[Floats, Floats, Floats | None, Floats | None]:
+    def convert(line: FrameLine) -> tuple[Floats, Floats, Floats | None, Floats | None, int | None]:
         nonlocal is_scored
         scores, direct, kinds = line.get("scores"), line.get("direct"), line.get("light_kinds")
         if is_scored is None:
@@ -216,6 +218,7 @@ def _from_lines(path: Path) -> Predictions:
             _as_scores(scores, len(line["proposals_xyxy_px"])),
             None if direct is None else np.array(direct, np.float64),
             None if kinds is None else _as_kinds(kinds),
+            line.get("timestamp_ns"),
         )
 
     lines = read_frame_lines(path, convert)
@@ -223,8 +226,9 @@ def _from_lines(path: Path) -> Predictions:
         {image_id: boxes for image_id, (boxes, *_) in lines.items()},
         {image_id: scores for image_id, (_, scores, *_) in lines.items()},
         is_scored is not False,
-        {image_id: direct for image_id, (_, _, direct, _) in lines.items() if direct is not None},
-        {image_id: kinds for image_id, (*_, kinds) in lines.items() if kinds is not None},
+        {image_id: direct for image_id, (_, _, direct, _, _) in lines.items() if direct is not None},
+        {image_id: kinds for image_id, (*_, kinds, _) in lines.items() if kinds is not None},
+        {image_id: time_ns for image_id, (*_, time_ns) in lines.items() if time_ns is not None},
     )
 
 

@@ -25,7 +25,7 @@ from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
-from foreglow.runs.labels_of_run import LabelsOfRun, labels_of_run
+from foreglow.runs.labels_of_run import LabelsOfRun, check_times, labels_of_run
 from foreglow.runs.predictions import Predictions, is_coco_results, read_predictions, run_threshold
 
 
@@ -207,7 +207,10 @@ def compared_labels(
         raise ValueError(
             f"{path}: expected boxes in pixels, got none beyond 1, as of coordinates relative to the image"
         )
-    return found, found.of_images(predictions)
+    compared = found.of_images(predictions)
+    if is_of_run:
+        check_times(path.parent, split, dataset, compared.times_ns)
+    return found, compared
 
 
 def annotation_quality(split: Path | str) -> BoxQuality:
