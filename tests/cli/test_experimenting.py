@@ -105,7 +105,7 @@ def test_time_benefit(tmp_path: Path) -> None:
     result = foreglow_command("experiment", "time-benefit", shipped_drive(), "--out", out)
     assert result.exit_code == 0, result.output
     assert result.stdout.endswith(f"look in {out / 'report.md'}\n")
-    assert "false confirmed tracks a minute" in result.stdout
+    assert " false groups of close tracks, " in result.stdout
     assert "Single frame before a human, mean: 0.5 s; here" in result.stdout
     assert "vehicle at 18 Hz, " in result.stdout
 

@@ -225,7 +225,7 @@ def write_labels_file(path: Path | str, labels: LabelSet, name: str, *, is_guess
 
 
 def write_split(
-    dataset: LabelledSource, root: Path | str, origins: Sequence[Origin] = (), renumbered: Path | None = None
+    dataset: LabelledSource, root: Path | str, origins: Sequence[Origin] = (), renumbered: Path | str | None = None
 ) -> int:
     """Writes a data set with its images as a split in PVDN's format, and returns the number of images.
 

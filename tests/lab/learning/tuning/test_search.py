@@ -388,7 +388,7 @@ def test_command(data: Path, out: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "chosen: " in result.stdout
     assert "test: q 1.000 (paper 0.750)" in result.stdout
-    assert "0.01; 0.01; here " in result.stdout
+    assert "s: final value (search space, step): 0.01 ([0, 0.1], 0.01); here " in result.stdout
     assert "in the same space by the same step" in result.stdout
     assert (
         "the formula; here the same and penalties for lost recall and more false boxes (objective q)" in result.stdout
