@@ -15,6 +15,7 @@ import pytest
 
 from foreglow.datasets.simulated import BoxShares, shares_path
 from foreglow.datasets.simulated.shares import write_shares
+from foreglow.lab.reports.evaluation_page import REPORT
 from foreglow.lab.reports.page import Page
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
@@ -252,6 +253,24 @@ def test_a_model_is_run_on_the_split(tmp_path: Path, split: Path, model: Path, c
     # Its threshold is that of the run, where nobody names another.
     assert foreglow_command("evaluate", split, "--predictions", out / "frames.jsonl", "--json", file).exit_code == 0
     assert json.loads(file.read_text()) == results["quality"] | {"is_complete": True}
+
+
+def test_a_report_never_lies_beside_another_run(
+    tmp_path: Path, split: Path, model: Path, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second evaluation that is interrupted while it is reported left the first one's report beside its own run."""
+    out = tmp_path / "out"
+    evaluate = ("evaluate", split, "--model", model, "--config", config, "--out", out)
+    assert foreglow_command(*evaluate).exit_code == 0
+    assert {"report.md", "results.json", "curve.png"} <= names(out)
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("foreglow.lab.evaluation.examine", interrupted)
+    assert foreglow_command(*evaluate).exit_code == 130
+    assert names(out).isdisjoint(REPORT)
+    assert names(out) == set(RESULTS)
 
 
 def test_without_a_folder_nothing_is_written(tmp_path: Path, split: Path, model: Path, config: Path) -> None:

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from foreglow.maps import RoadMap, read_road_map
+from foreglow.maps.lanelet2 import _border
 from tests.maps.roads import pose
 
 # Rows of nodes to the north: at latitude 48, 0.0001 degrees of longitude are 7.46 m, of latitude 11.12 m.
@@ -146,3 +148,22 @@ def test_what_is_deleted_is_no_road(mark: str, tmp_path: Path) -> None:
 def test_a_file_without_nodes(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"town\.osm: expected nodes, got none"):
         read(tmp_path, "<osm/>")
+
+
+def test_a_way_without_nodes_is_named(tmp_path: Path) -> None:
+    more = "<way id='e'/>" + lanelet(3, "e", "c")
+    with pytest.raises(ValueError, match=r"town\.osm: way e: expected at least two nodes that differ"):
+        read(tmp_path, document(more=more))
+
+
+def test_a_border_of_many_lanelets_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each made it anew, which took minutes where borders are long."""
+    made: list[str] = []
+
+    def counting(way: str, *others: Any) -> Any:
+        made.append(way)
+        return _border(way, *others)
+
+    monkeypatch.setattr("foreglow.maps.lanelet2._border", counting)
+    read(tmp_path, document(more="".join(lanelet(number, "b", "c") for number in range(3, 9))))
+    assert sorted(made) == ["a", "b", "c"]

@@ -145,7 +145,9 @@ def _examined_model(
     from foreglow.display.progress import ProgressSink
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.robustness import robustness
+    from foreglow.lab.reports.evaluation_page import REPORT
     from foreglow.runtime import Opening
+    from foreglow.whole_files import remove_file
 
     dataset = open_labelled(split)
     labels = read_split_labels(dataset, with_shares=True)
@@ -154,6 +156,8 @@ def _examined_model(
         looks = look_sink(dataset, None, configuration)
         opening = Opening(open_labelled, (split,))
         summary = run_in_parallel(opening, str(split), folder, configuration, workers, looks)
+        for name in REPORT:  # of an earlier evaluation there: whatever comes now, it is of another run
+            remove_file(folder / name)
         if summary.is_interrupted:
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")

@@ -54,7 +54,8 @@ def read_lanelet2(path: Path) -> RoadMap:
     lanelets = _lanelets(root, path)
     if not lanelets:
         raise ValueError(f"{path}: expected at least one lanelet for cars, got none")
-    borders = {way: _border(way, ways, nodes, path) for pair in lanelets for way in pair}
+    once = dict.fromkeys(way for pair in lanelets for way in pair)  # many lanelets may have the same
+    borders = {way: _border(way, ways, nodes, path) for way in once}
     is_missing = np.concatenate([np.isnan(border[:, 2]) for border in borders.values()])
     if is_missing.any():
         if not is_missing.all():
@@ -125,7 +126,8 @@ def _border(way: str, ways: dict[str, list[str]], nodes: dict[str, Floats], path
     missing = [node for node in ways.get(way, []) if node not in nodes]
     if way not in ways or missing:
         raise ValueError(f"{path}: way {way}: expected it with all its nodes, {missing[:1] or 'it'} is missing")
-    border = without_repeats(np.array([nodes[node] for node in ways[way]]).reshape(-1, 3))
+    points = np.array([nodes[node] for node in ways[way]]).reshape(-1, 3)
+    border = without_repeats(points) if len(points) else points
     if len(border) < 2:
         raise ValueError(f"{path}: way {way}: expected at least two nodes that differ")
     return border

@@ -139,6 +139,10 @@ ASPECTS = {
 }
 
 
+REPORT = ("report.md", "results.json", "curve.png", "hidden.png", "reliability.png", "kinds.png", "distance.png")
+"""All files of a report."""
+
+
 def write_report(examination: Examination, folder: Path, origin: Mapping[str, Any]) -> Path:
     """Writes `results.json`, the plots and `report.md` to `folder`, and returns the last one's path.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Iterator
@@ -10,10 +11,12 @@ from typing import Any
 
 import pytest
 
-from foreglow.lab.learning.tuning import TuningSettings, search, tune
+from foreglow.lab.learning.tuning import TuningSettings, search, study, tune
 from foreglow.lab.learning.tuning.measurement import Bench
 from foreglow.lab.learning.tuning.study import StudyPlan, open_study, prepare, work
 from tests.lab.learning.night_set import make_night_set
+
+CREATE_TRIAL = 4  # in the journal of Optuna
 
 pytestmark = [pytest.mark.torch, pytest.mark.slow]  # Optuna comes with the same extra
 
@@ -101,9 +104,9 @@ def test_a_trial_of_a_machine_in_another_time_zone_lives_as_long(
     open_study(plan).ask().set_user_attr("process", ["elsewhere", 7, time.time() - age_s])
     zones.setenv("TZ", "Asia/Tokyo")
     time.tzset()
-    study = open_study(plan)
-    prepare(study, plan)
-    assert study.trials[0].state.name == state
+    opened = open_study(plan)
+    prepare(opened, plan)
+    assert opened.trials[0].state.name == state
 
 
 def test_a_process_goes_on_whose_trial_another_machine_has_given_up(
@@ -128,3 +131,18 @@ def test_a_process_goes_on_whose_trial_another_machine_has_given_up(
 
     monkeypatch.setattr(search, "work", working)
     assert len(tune(data, tmp_path, settings(4)).trials) == 4
+
+
+def test_a_trial_that_was_killed_before_it_said_whose_it_is_costs_no_trial(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For ten minutes it counted as that of another machine: later ones had other parameters, and one was missing."""
+    monkeypatch.setattr(study, "UNNAMED_S", 0.0)  # as if this took longer
+    whole, folder = tune(data, tmp_path / "a", settings(8)), tmp_path / "b"
+    folder.mkdir()
+    lines = (tmp_path / "a" / "study.journal").read_text().splitlines(keepends=True)
+    begun = [number for number, line in enumerate(lines) if json.loads(line)["op_code"] == CREATE_TRIAL]
+    (folder / "study.journal").write_text("".join(lines[: begun[3] + 1]))
+    again = tune(data, folder, settings(8))
+    drawn = [[(each.loss, dict(each.parameters)) for each in found.trials] for found in (whole, again)]
+    assert drawn[0] == drawn[1]

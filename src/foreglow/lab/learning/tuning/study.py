@@ -38,6 +38,9 @@ milliseconds."""
 STALE_S = 600.0
 """A running trial of another machine that began this long ago counts as dead; a trial takes seconds."""
 
+UNNAMED_S = 2.0
+"""So does one that began this long ago and says nothing of its process: it was killed between the two."""
+
 IMPORTANCE_TRIALS = 20
 """Smallest number of finished trials for which importances are meaningful."""
 
@@ -396,8 +399,8 @@ def _is_alive(trial: FrozenTrial) -> bool:
         return bool(pid != os.getpid())
     if began:  # Optuna's own time is that of the other machine's zone
         return bool(time.time() - began[0] < STALE_S)
-    started = trial.datetime_start
-    return started is not None and (datetime.datetime.now() - started).total_seconds() < STALE_S
+    started = trial.datetime_start  # a process says who it is right after it began
+    return started is not None and 0 <= (datetime.datetime.now() - started).total_seconds() < UNNAMED_S
 
 
 def importances(study: optuna.Study) -> dict[str, float]:
