@@ -337,3 +337,10 @@ def test_a_report_leaves_what_is_only_called_like_that_of_an_earlier_one(name: s
     command = "experiment glare" if name == "plan.json" else "reproduce"
     with running(command), pytest.raises(ValueError, match=f"{name} is of something else"):
         check_outputs({}, {}, {"--out": tmp_path})
+
+
+def test_a_folder_whose_run_never_began_is_free_again(tmp_path: Path) -> None:
+    """An error in the same line, as of another argument, locked it for the rest of a notebook."""
+    OutputFolder(tmp_path / "out")
+    with OutputFolder(tmp_path / "out"):
+        pass

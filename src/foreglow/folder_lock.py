@@ -84,6 +84,11 @@ class FolderLock:
                 folder.rmdir()
         self._made = []
 
+    def __del__(self) -> None:
+        """A lock that nobody can release any more, as after an error before the `with` block, is none."""
+        if getattr(self, "_descriptor", None) is not None:
+            self.release()
+
     def __enter__(self) -> FolderLock:
         return self
 

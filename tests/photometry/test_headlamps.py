@@ -162,6 +162,25 @@ def test_files_lie_where_they_say(tmp_path: Path) -> None:
     assert lamps.left.matrix.base is low_beam()  # whose steps are finer than the files'
 
 
+@pytest.mark.parametrize(
+    ("columns", "rows", "complaint"),
+    [
+        ((1, 0), (0, 1), "expected rows from right to left, the first LED is 2.0 degrees left of the last"),
+        ((0, 1), (1, 0), "expected the lowest row first, the first row is 1.5 degrees above the last"),
+    ],
+)
+def test_files_in_another_order(
+    tmp_path: Path, columns: tuple[int, int], rows: tuple[int, int], complaint: str
+) -> None:
+    """The guard would have dimmed the LEDs at the other end."""
+    named = [
+        [led_file(tmp_path, f"{row}{column}.ies", 4 - 2 * column, 1.5 * row) for column in columns] for row in rows
+    ]
+    path = written(tmp_path, POSITIONS.format(left=f"led_files = {named}", right=f"led_files = {named}"))
+    with pytest.raises(ValueError, match=f"{path}: left.led_files: {complaint}"):
+        read_headlamps(path)
+
+
 def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
     base = led_file(tmp_path, "base.ies", 0.0, -2.0, 5000.0)
     lamps = read_headlamps(grid_file(tmp_path, f'base = "{base}"'))

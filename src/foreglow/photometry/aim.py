@@ -67,6 +67,21 @@ def check_base_aim(base: IntensityTable, vehicle_from_lamp: Pose) -> None:
         )
 
 
+def check_led_order(lamp: MatrixLamp) -> None:
+    """Passes LEDs that are listed from right to left, and from the lowest row up.
+
+    Raises:
+        ValueError: If the first column is left of the last, or the first row above the last.
+    """
+    azimuths, elevations = (each.reshape(-1, lamp.num_columns) for each in (lamp.azimuths_deg, lamp.elevations_deg))
+    left_deg = float((azimuths[:, 0] - azimuths[:, -1]).mean())
+    if left_deg > 0:
+        raise ValueError(f"expected rows from right to left, the first LED is {left_deg:.1f} degrees left of the last")
+    above_deg = float((elevations[0] - elevations[-1]).mean())
+    if above_deg > 0:
+        raise ValueError(f"expected the lowest row first, the first row is {above_deg:.1f} degrees above the last")
+
+
 def check_led_aim(lamp: MatrixLamp, vehicle_from_lamp: Pose) -> None:
     """Passes LEDs that shine nowhere but where the guard looks, and together straight ahead.
 

@@ -24,6 +24,7 @@ from foreglow.photometry.aim import (
     Yaw,
     check_base_aim,
     check_led_aim,
+    check_led_order,
 )
 from foreglow.photometry.greatest import greatest_cd
 from foreglow.photometry.ies import read_ies
@@ -375,6 +376,10 @@ def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) 
     except ValueError as error:
         raise ValueError(f"{path}: {side}.led_files: {error}") from error
     _check_leds(made, f"{path}: {side}.led_files")
+    try:
+        check_led_order(made)
+    except ValueError as error:
+        raise ValueError(f"{path}: {side}.led_files: {error}") from error
     return made
 
 

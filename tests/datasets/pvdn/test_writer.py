@@ -184,3 +184,10 @@ def test_any_vehicles_survive(vehicles: list[tuple[Vehicle, ...]]) -> None:
             )
         dataset = PVDN(folder)
         assert [dataset.annotations(number) for number in range(len(vehicles))] == vehicles
+
+
+@pytest.mark.parametrize("rate_hz", [float("nan"), 0, -5, 1e9, "x", None, float("inf")])
+def test_a_rate_that_no_reader_takes_is_refused_before_anything_is_written(tmp_path: Path, rate_hz: object) -> None:
+    with pytest.raises(ValueError, match=r"info\.rate_hz: expected a number from 0\.01 to 1000, got"):
+        PVDNWriter(tmp_path / "val", info={"rate_hz": rate_hz})
+    assert not (tmp_path / "val").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 import signal
@@ -341,3 +342,18 @@ def test_a_replay_that_hardly_moves_ends_when_it_shall(drive: list[Frame]) -> No
     running.start()
     running.join(60.0)
     assert not running.is_alive()
+
+
+def test_a_source_whose_times_stand_still_is_given_up(drive: list[Frame]) -> None:
+    """Its frames cannot be used, and it went on for ever."""
+    still = dataclasses.replace(drive[1], timestamp_ns=drive[0].timestamp_ns)
+    script: list[Step] = [drive[0]]
+    for _ in range(100):
+        script += [still, 0.05]
+    source = ScriptedCamera(script, is_live=True, is_endless=True)
+    configuration, lamps = live_config(), Lamps()
+    loop = LiveLoop(source, lambda: Pipeline(configuration), configuration, outputs=[lamps], give_up_s=1.0)
+    with pytest.raises(LiveEndedError, match=r"no frame for 1 s: it is silent, or its .* still") as ended:
+        loop.run()
+    assert ended.value.summary.run.num_frames == 1
+    assert ended.value.summary.num_out_of_order > 5

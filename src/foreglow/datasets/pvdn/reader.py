@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -122,7 +122,7 @@ class PVDN(LabelledSource):
         check_is_folder(folder, "a PVDN split or sequence")
         self.root, self._directory = find_split(folder)
         self.labels: PVDNLabels = read_labels(self.root)
-        self.rate_hz = _rate_hz(self.labels.images_file.info, self.root)
+        self.rate_hz = rate_of(self.labels.images_file.info, self.root)
         self._stored_times_s = _stored_times_s(self.labels, self.root)
         above = self.root.resolve().parent.name
         self.cycle: Cycle | None = Cycle(above) if above in set(Cycle) else None
@@ -283,8 +283,12 @@ class PVDN(LabelledSource):
         return self.root / "labels" / "keypoints" / f"{image_id:06d}.json"
 
 
-def _rate_hz(info: dict[str, Any], root: Path) -> float:
-    """Frames a second: `rate_hz` of the set's `info`, or that of PVDN."""
+def rate_of(info: Mapping[str, Any], root: Path) -> float:
+    """Frames a second: `rate_hz` of the set's `info`, or that of PVDN.
+
+    Raises:
+        ValueError: If it is none that images can have.
+    """
     rate_hz = info.get("rate_hz", PVDN_RATE_HZ)
     if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         path = root / "labels" / "image_annotations.json"

@@ -14,7 +14,7 @@ from typing import Any
 from foreglow.datasets.image_folder import earlier_name
 from foreglow.datasets.images import png
 from foreglow.datasets.json_files import read_json, write_json
-from foreglow.datasets.pvdn.reader import PVDN
+from foreglow.datasets.pvdn.reader import PVDN, rate_of
 from foreglow.datasets.pvdn.schema import (
     BoxLabels,
     CameraConfiguration,
@@ -101,13 +101,14 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             name: The folder's name in messages, if it is to be moved.
 
         Raises:
-            ValueError: If the folder holds images or labels already.
+            ValueError: If the folder holds images or labels already, or `rate_hz` is none that images can have.
             OSError: If the folders cannot be made.
         """
         self.root = Path(root)
-        _make_folders(self.root)
         self._name = Path(name or self.root)
         self._info = dict(info or {})
+        rate_of(self._info, self._name)
+        _make_folders(self.root)
         self._sequences: list[Sequence] = []
         self._images: dict[int, ImageRecord] = {}
         self._annotations: list[ImageAnnotation] = []

@@ -332,7 +332,7 @@ class LiveLoop:
     def _give_up(self, awake_s: float) -> None:
         silent_s = min(self._watch.silent_s, awake_s)
         if self._give_up_s is not None and not self._has_ended.is_set() and silent_s > self._give_up_s:
-            reason = self._watch.reason or "it is silent"
+            reason = self._watch.reason or "it is silent, or its frames' times stand still"
             self._end = f"{self._source.name}: no frame for {self._give_up_s:g} s: {reason}"
 
     def _abandon(self) -> None:

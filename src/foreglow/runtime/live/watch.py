@@ -55,7 +55,9 @@ class FrameWatch:
         if before is not None and before.sequence == frame.sequence:
             step_ns = frame.timestamp_ns - before.timestamp_ns
             if step_ns <= 0:
+                used_s = self._frame_s
                 self._heard(frame if step_ns < -MAX_DELAY_NS else before)
+                self._frame_s = used_s
                 self._note(LiveFault.OUT_OF_ORDER)
                 return False
         else:
@@ -81,7 +83,7 @@ class FrameWatch:
 
     @property
     def silent_s(self) -> float:
-        """Time since the latest frame, or since the beginning."""
+        """Time since the latest frame that may be used, or since the beginning."""
         return time.monotonic() - self._frame_s
 
     @property
