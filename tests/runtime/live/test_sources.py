@@ -25,7 +25,7 @@ from foreglow.datasets.vehicle_data import VehicleData
 from foreglow.datasets.vehicle_logs import CanLog, VehicleFiles
 from foreglow.pipeline import Pipeline
 from foreglow.runs.frames_file import frame_to_line
-from foreglow.runtime.live import ClosedLoop, LiveEndedError, LiveFault, Paced
+from foreglow.runtime.live import ClosedLoop, LiveFault, Paced
 from foreglow.runtime.live.cameras import CameraOptions, CaptureCamera, StreamCamera
 from foreglow.runtime.live.opening import open_camera, open_live
 from foreglow.types import BeamMode, Frame
@@ -151,36 +151,6 @@ def test_a_recorded_replay_begins_with_its_first_frame(speed: float, drive: list
         messages = list(mcap_reader.make_reader(file).iter_messages())
     assert "/health" in {channel.topic for _, channel, _ in messages}
     assert min(message.log_time for _, _, message in messages) >= frames[0].timestamp_ns
-
-
-@pytest.mark.parametrize("thing", ["hello", None])
-def test_a_source_that_yields_no_frames_ends_with_a_line(thing: Any, drive: list[Frame]) -> None:
-    class Foreign(Paced):
-        def __iter__(self) -> Iterator[Frame]:
-            yield from drive[:3]
-            yield thing
-
-    with pytest.raises(LiveEndedError, match=rf"expected a Frame, got {type(thing).__name__}$"):
-        run_live(Foreign(ListSource(drive), math.inf), live_config())
-
-
-@pytest.mark.parametrize("num_frames", [0, 3])
-def test_what_a_source_raises_unforeseen_costs_no_results(num_frames: int, drive: list[Frame]) -> None:
-    class Broken(Paced):
-        def __iter__(self) -> Iterator[Frame]:
-            yield from drive[:num_frames]
-            raise IndexError("out of range")
-
-    source = Broken(ListSource(drive), math.inf)
-    if num_frames == 0:
-        with pytest.raises(IndexError, match="out of range"):
-            run_live(source, live_config())
-        return
-    with pytest.raises(LiveEndedError, match="out of range") as ended:
-        run_live(source, live_config())
-    assert isinstance(ended.value.__cause__, IndexError)
-    assert ended.value.summary.run.num_frames == num_frames
-    assert not ended.value.summary.run.is_complete
 
 
 def test_overload_drops_frames_and_stays_in_time(drive: list[Frame]) -> None:

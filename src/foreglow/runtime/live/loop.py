@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import operator
 import sys
 import threading
 import time
@@ -127,7 +128,8 @@ class LiveLoop:
         # With a lossless source, which waits for the computation, a slow machine is no fault.
         self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
-        self._book = FaultBook(source.now_ns, (CAMERA, STAGE, BUS))
+        self._told_ns = (0, time.monotonic_ns())  # the source's clock, and when it was asked
+        self._book = FaultBook(self._now_ns, (CAMERA, STAGE, BUS))
         self._mailbox = Mailbox(is_lossless=source.is_lossless)
         self._sinks = [Background(sink, is_lossless=source.is_lossless) for sink in sinks]
         self._tally = Tally()
@@ -253,7 +255,7 @@ class LiveLoop:
         with self._lock:
             self._is_ended = True
             if self._beam is not None:
-                self._send(BeamCommand.low(self._source.now_ns(), self._num_leds))
+                self._send(BeamCommand.low(self._now_ns(), self._num_leds))
         errors = [error for outlet in self._outlets if (error := outlet.close())]
         if errors:
             self._note_bus(errors)
@@ -274,7 +276,7 @@ class LiveLoop:
                     if not self._mailbox.num_put:
                         self._check_fit(frame)
                     if self._watch.arrived(frame):
-                        self._mailbox.put(Arrival(frame, self._source.now_ns()))
+                        self._mailbox.put(Arrival(frame, self._now_ns()))
                     else:
                         self._num_out_of_order += 1
                         self._command_low()
@@ -289,6 +291,20 @@ class LiveLoop:
                 return
             self._watch.lost(reason)
             self._is_stopped.wait(self._config.retry_s)
+
+    def _now_ns(self) -> int:
+        """The source's clock; where it fails, the loop ends, and until then time goes on from what it told last."""
+        try:
+            now_ns = operator.index(self._source.now_ns())
+        except Exception as error:  # own sources raise what they like
+            wrong = isinstance(error, TypeError)
+            words = f"{self._source.name}: now_ns: expected nanoseconds as a whole number: {words_of(error)}"
+            self._error = self._error or (ValueError(words) if wrong else error)
+            self._has_ended.set()
+            told_ns, then_ns = self._told_ns
+            return told_ns + time.monotonic_ns() - then_ns
+        self._told_ns = now_ns, time.monotonic_ns()
+        return now_ns
 
     def _check_fit(self, frame: Frame) -> None:
         """Raises if no frame of this size can be worked with: nothing that may pass, as what a stage raises."""
@@ -348,7 +364,7 @@ class LiveLoop:
             self._worker = self._new_worker()
 
     def _new_worker(self, pipeline: LivePipeline | None = None) -> Worker:
-        now_ns = None if self._source.is_lossless else self._source.now_ns
+        now_ns = None if self._source.is_lossless else self._now_ns
         worker = Worker(self._make_pipeline, self._mailbox, self._book, now_ns, self._config, self._deliver)
         worker.start(pipeline)
         return worker
@@ -371,7 +387,7 @@ class LiveLoop:
                 beam = BeamCommand.low(frame.timestamp_ns, self._num_leds, *dict.fromkeys([*faults, *found]))
             self._send(beam)
             sent_ns = time.monotonic_ns()
-        age_ns = 0 if self._source.is_lossless else self._source.now_ns() - frame.timestamp_ns
+        age_ns = 0 if self._source.is_lossless else self._now_ns() - frame.timestamp_ns
         if result is None:
             return
         clock_to_ms = 1e6 * self._source.speed  # of a replay's clock, which may run faster than time
@@ -389,7 +405,7 @@ class LiveLoop:
 
     def _command_low(self) -> None:
         with self._lock:
-            self._send(BeamCommand.low(self._source.now_ns(), self._num_leds, *self._book.active))
+            self._send(BeamCommand.low(self._now_ns(), self._num_leds, *self._book.active))
 
     def _send(self, command: BeamCommand) -> None:
         self._beam = command
@@ -411,7 +427,7 @@ class LiveLoop:
 
     def _report_health(self) -> None:
         health = Health(
-            self._source.now_ns(),
+            self._now_ns(),
             self._reported[0],
             self._tally.num_frames,
             self._mailbox.num_dropped,
