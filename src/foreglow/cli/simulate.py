@@ -168,7 +168,8 @@ def _changed(
             raise ValueError(f"--ego-beam: expected one of {', '.join(EGO_BEAMS)}, got {ego_beam!r}")
         if files:
             scenes = tuple(with_beam_of(scene, ego_beam, file) for scene, file in zip(scenes, files, strict=True))
-        scenes = tuple(with_beam(scene, ego_beam) for scene in scenes)
+        else:
+            scenes = tuple(with_beam(scene, ego_beam) for scene in scenes)
     return tuple(without_traffic(scene) for scene in scenes) if is_empty else scenes
 
 

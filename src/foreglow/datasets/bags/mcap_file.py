@@ -255,7 +255,7 @@ class _Channels:
 
 
 def _behind_data(file: BinaryIO, end: int) -> int:
-    """Position behind the last record before `end` that looks like the one that ends the data."""
+    """Position behind the last record before `end` that looks like the one that ends the data; `end` without any."""
     place = end
     while place > 0:
         start = max(0, place - _PIECE_BYTES)
@@ -264,7 +264,7 @@ def _behind_data(file: BinaryIO, end: int) -> int:
         if found >= 0:
             return start + found + len(_DATA_END_HEAD) + _DATA_END_BYTES
         place = start
-    return len(_DATA_END_HEAD) + _DATA_END_BYTES - 1
+    return end
 
 
 def _next_chunk(file: BinaryIO, start: int) -> int | None:

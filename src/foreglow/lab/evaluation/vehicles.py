@@ -251,14 +251,9 @@ def _match_sequence(
     firsts: dict[int, dict[str, float]] = {}  # by vehicle, times and indices of images
     for index, image_id in enumerate(image_ids):
         in_image, now_s = tracks[image_id], labels.time_s[image_id]
-        plausible = dict.fromkeys(in_image.ids[in_image.is_plausible].tolist(), image_id) | plausible
-        groups.join(in_image.ids[in_image.is_plausible], in_image.boxes_xyxy_px[in_image.is_plausible])
-        is_shown = in_image.is_plausible
-        if in_image.vehicles is not None:
-            its = in_image.vehicles
-            now = its.ids[its.states != TrackState.TENTATIVE]
-            confirmed = (confirmed or set()) | set(now.tolist())
-            is_shown = np.isin(its.of_tracks, now)
+        plausible_ids = in_image.ids[in_image.is_plausible]
+        plausible = dict.fromkeys(plausible_ids.tolist(), image_id) | plausible
+        groups.join(plausible_ids, in_image.boxes_xyxy_px[in_image.is_plausible])
         is_detected = in_image.detections >= 0
         ids = in_image.ids[is_detected].tolist()
         boxes = boxes_xyxy_px[image_id][in_image.detections[is_detected]]
@@ -271,9 +266,13 @@ def _match_sequence(
                     first.setdefault("lamp", now_s)
         held = [ids[box] for _, box in (*_held(labels.doubtful_px[image_id], boxes), *_held(points_px, boxes))]
         lit |= set(held)
+        is_shown = in_image.is_plausible
         if in_image.vehicles is not None:
-            of_track = dict(zip(in_image.ids.tolist(), in_image.vehicles.of_tracks.tolist(), strict=True))
-            lit_vehicles |= {of_track[track_id] for track_id in held}
+            its = in_image.vehicles
+            now = its.ids[its.states != TrackState.TENTATIVE]
+            is_shown = np.isin(its.of_tracks, now)
+            confirmed = (confirmed or set()) | set(now.tolist())
+            lit_vehicles |= set(its.of_tracks[np.isin(in_image.ids, held)].tolist())
         for point, _ in _held(points_px, in_image.boxes_xyxy_px[is_shown]):
             if not lights[point].is_rear:
                 first = firsts[lights[point].vehicle_id]
@@ -311,7 +310,7 @@ class _Groups:
         self._above: dict[int, int] = {}  # by track another one of its group, or itself
 
     def join(self, ids: NDArray[np.int64], boxes_xyxy_px: NDArray[np.floating]) -> None:
-        """Joins the tracks of an image whose boxes are close."""
+        """Joins the tracks of an image with these ids, shape (M,), whose boxes, shape (M, 4), are close."""
         for track_id in ids.tolist():
             self._above.setdefault(track_id, track_id)
         starts, ends = boxes_xyxy_px[:, :2], boxes_xyxy_px[:, 2:]
@@ -321,7 +320,7 @@ class _Groups:
             self._above[self._first(int(ids[one]))] = self._first(int(ids[other]))
 
     def found(self) -> list[set[int]]:
-        """The groups."""
+        """The groups, each by the ids of its tracks."""
         members: dict[int, set[int]] = {}
         for track_id in self._above:
             members.setdefault(self._first(track_id), set()).add(track_id)
