@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.config import PipelineConfig, preset
 from foreglow.plugins import METHODS, built, check_methods, checked, name_of, staying
 from foreglow.stopwatch import Stopwatch
 from foreglow.types import BeamCommand, Detections, Frame, FrameResult, Ranges, Tracks, Vehicles
+from foreglow.types.arrays import check_callables, check_names
 from foreglow.types.white import full_scale
 from foreglow.wording import shortened
 
@@ -239,9 +241,13 @@ class Pipeline:
                 low beam, from which light comes back slowly.
 
         Raises:
-            ValueError: If a plain image is not grey uint8 or uint16, or a plug-in returns something of another kind.
+            ValueError: If a plain image is not grey uint8 or uint16, `faults` are no names, `now_ns` is no function, or
+                a plug-in returns something of another kind.
             RuntimeError: If another thread is inside `step` of this pipeline.
         """
+        if now_ns is not None:
+            check_callables(now_ns=now_ns)
+        check_names("faults", faults)
         with self._alone("step"), staying():
             return self._step(frame if isinstance(frame, Frame) else Frame(frame, timestamp_ns=0), now_ns, faults)
 
@@ -285,11 +291,16 @@ class Pipeline:
         """The results of `frames`, one by one, in order, after a `reset`.
 
         Raises:
-            TypeError: If they are no frames but the path of a source.
+            TypeError: If they are no frames but a single one, the path of a source, or no sequence of anything.
             RuntimeError: If another run of this pipeline has begun meanwhile, as it would know this one's frames.
         """
         if isinstance(frames, str | os.PathLike):
             raise TypeError(f"frames: expected frames, such as foreglow.open_source({str(frames)!r}), got a path")
+        if not isinstance(frames, Iterable) or isinstance(frames, np.ndarray):
+            raise TypeError(
+                "frames: expected frames, such as foreglow.open_source(path) or [frame], got "
+                f"{'a single Frame' if isinstance(frames, Frame) else type(frames).__name__}"
+            )
         self.reset()
         self._run = run = object()
         for frame in frames:

@@ -35,7 +35,7 @@ from foreglow.beam.sightlines import Sightlines
 from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import MIN_STEP_S, BeamCommand, BeamMode, Frame, Tracks
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_names
 from foreglow.types.beam import MAX_FAULTS, fault_name
 
 
@@ -201,14 +201,12 @@ def _check_kinds(
     """ValueError if an argument of `Guard.check` is of another type."""
     check_kind("wanted", wanted, BeamCommand)
     check_kind("frame", frame, Frame)
-    check_kind("pipeline_faults", pipeline_faults, Sequence)
+    check_names("pipeline_faults", pipeline_faults)
     for name, value, kind in (("tracks", tracks, Tracks), ("is_vehicle", is_vehicle, np.ndarray)):
         if value is not None:
             check_kind(name, value, kind)
     if not isinstance(time_ns, int | np.integer | None) or isinstance(time_ns, bool):
         raise ValueError(f"time_ns: expected nanoseconds as a whole number, got {type(time_ns).__name__}")
-    if isinstance(pipeline_faults, str) or not all(isinstance(name, str) for name in pipeline_faults):  # type: ignore[attr-defined]
-        raise ValueError(f"pipeline_faults: expected the names of faults, got {pipeline_faults!r:.80}")
 
 
 def _speed_mps(frame: Frame) -> float:

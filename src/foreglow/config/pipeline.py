@@ -49,8 +49,9 @@ class PipelineConfig(FrozenModel):
         """This configuration with other values for some fields of a section.
 
         Raises:
-            ValueError: If there is no such field, or a value is not allowed.
+            ValueError: If there is no such section or field, or a value is not allowed.
         """
+        check_one_of(section, type(self).model_fields, "section")
         return self.model_copy(update={section: getattr(self, section).model_copy(update=fields)})
 
     @property

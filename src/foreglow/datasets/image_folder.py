@@ -194,7 +194,7 @@ class ImageFolder(FileSource):
             ValueError: If the folder holds no image, or `rate_hz` is no number from 0.001 to 1,000,000.
         """
         super().__init__(path, on_error)
-        self.path = Path(path)
+        self.path = self.origin
         self.rate_hz = checked_rate_hz(rate_hz)
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such file or folder")

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
+from foreglow.files import checked_path
+from foreglow.geometry import checked_number
 from foreglow.types import Frame
-from foreglow.wording import check_one_of, exact_seconds
+from foreglow.types.arrays import check_members
+from foreglow.wording import check_one_of, exact_seconds, shortened
 
 OnError: TypeAlias = Literal["stop", "skip", "mark"]
 """What a bad frame does: `stop` raises, `skip` leaves it out and notes one line in `FrameSource.skipped`. `mark` does
@@ -83,6 +87,29 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[Frame]: ...
 
 
+def check_source(field: str, source: object, *further: str) -> None:
+    """Checks that `source` is what `FrameSource` describes, as Python callers may give anything, and write their own.
+
+    Args:
+        field: What it was given as, for the message.
+        source: Anything.
+        further: Names of what else it has to have.
+
+    Raises:
+        ValueError: If it lacks something, is no object over which one can iterate, or has a rate that is no positive
+            number; the message begins with `field`.
+
+    >>> check_source("source", [])
+    Traceback (most recent call last):
+    ValueError: source: expected frames, as of foreglow.open_source(path), got list, which lacks name, rate_hz, skipped
+    """
+    expected = "frames, as of foreglow.open_source(path)"
+    check_members(field, source, expected, "__iter__", *further, "name", "rate_hz", "skipped")
+    rate_hz = source.rate_hz  # type: ignore[attr-defined]
+    if rate_hz is not None and not 0.0 < checked_number(f"{field}: rate_hz", rate_hz) < math.inf:
+        raise ValueError(f"{field}: rate_hz: expected a positive number or None, got {shortened(rate_hz)}")
+
+
 class FileSource:
     """A source of frames from files, some of which may be bad.
 
@@ -114,7 +141,7 @@ class FileSource:
             ValueError: If it is none of `OnError`, as Python callers may pass any string.
         """
         check_one_of(on_error, OnError, "on_error")
-        self.origin = Path(origin)
+        self.origin = checked_path(origin)
         self.skipped, self.lost_parts, self.unread_end = [], [], []
         self.on_error, self.topic, self.lack = on_error, None, ""
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Protocol
 
 from foreglow.datasets.labelled import LabelledSource
-from foreglow.datasets.source import FileSource, FrameSource
+from foreglow.datasets.source import FileSource, FrameSource, check_source
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
+from foreglow.types.arrays import check_members
 
 
 class VehicleData(Protocol):
@@ -54,6 +55,13 @@ class Equipped:
     """
 
     def __init__(self, source: FrameSource, data: VehicleData) -> None:
+        """Takes both.
+
+        Raises:
+            ValueError: If one of them is something else.
+        """
+        check_source("source", source)
+        check_members("data", data, "vehicle data", "camera", "motion", "road", "of_one_drive")
         self.source = source
         self.data = data
 

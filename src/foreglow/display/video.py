@@ -20,6 +20,7 @@ from av.video.stream import VideoStream
 from foreglow.datasets.source import RESTART_NS
 from foreglow.display.overlay import Picture, annotate
 from foreglow.display.tone import Tone
+from foreglow.files import checked_path
 from foreglow.types import Frame, FrameResult
 from foreglow.whole_files import naming
 
@@ -105,7 +106,7 @@ class Movie:
         Raises:
             ValueError: If `fps` is not a positive number.
         """
-        path = Path(path)
+        path = checked_path(path)
         rate_hz = DEFAULT_FPS if fps is None else fps
         if not 0.0 < rate_hz < float("inf"):
             raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
@@ -235,7 +236,7 @@ class PictureSink:
     """A result sink that writes the picture of the last frame it gets as PNG; for a single image."""
 
     def __init__(self, path: Path | str, draw: Drawing = annotate) -> None:
-        self._path = Path(path)
+        self._path = checked_path(path)
         self._draw = draw
         self._picture: Picture | None = None
 

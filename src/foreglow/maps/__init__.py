@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from foreglow.files import checked_path
 from foreglow.maps.centre_line import CentreLine
 from foreglow.maps.geographic import GeographicOrigin
 from foreglow.maps.geojson import read_geojson
@@ -37,7 +38,7 @@ def read_road_map(path: Path | str) -> RoadMap:
         FileNotFoundError: If there is no such file.
         ValueError: If its ending is unknown, it is broken, or it has no road; the message names path and element.
     """
-    path = Path(path)
+    path = checked_path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a map that ends in {', '.join(READERS)}, got {path.suffix!r}")

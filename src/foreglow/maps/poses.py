@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.files import bounded_lines, number_in, read_text
+from foreglow.files import bounded_lines, checked_path, number_in, read_text
 from foreglow.geometry import Floats, Pose
 from foreglow.maps.centre_line import check_points
 from foreglow.maps.geographic import GeographicOrigin, check_position
@@ -130,7 +130,7 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
             times do not rise, there are fewer than two poses, or only the poses or only the map are on the earth; the
             message names path and line.
     """
-    path = Path(path)
+    path = checked_path(path)
     columns, rows = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
     time_columns = [name for name in TIMES if name in columns]
     if len(time_columns) != 1:

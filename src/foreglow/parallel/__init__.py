@@ -11,7 +11,7 @@ def workers_at(jobs: int, cluster: str | None) -> Workers:
     """The workers of the cluster at an address, or `jobs` processes of this machine; 1 stays in this process.
 
     Raises:
-        ValueError: If both are given, or `jobs` is below 1.
+        ValueError: If both are given, or `jobs` is no whole number of at least 1.
     """
     if cluster is None:
         return Local(jobs)

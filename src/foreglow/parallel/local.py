@@ -48,6 +48,8 @@ class Local:
     jobs: int = 1
 
     def __post_init__(self) -> None:
+        if not isinstance(self.jobs, int) or isinstance(self.jobs, bool):
+            raise ValueError(f"jobs: expected a whole number, got {self.jobs!r:.80}")
         if self.jobs < 1:
             raise ValueError(f"jobs: expected at least 1, got {self.jobs}")
 

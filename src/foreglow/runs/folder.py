@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TypeVar
 
 from foreglow.config import PipelineConfig, config_to_toml
-from foreglow.files import file_digest, json_text
+from foreglow.files import checked_path, file_digest, json_text
 from foreglow.folder_lock import FolderLock
 from foreglow.own_folders import RESULT_NAMES, RUN, check_own, clear_left
 from foreglow.runs.frames_file import frame_to_line
@@ -49,7 +49,7 @@ class OutputFolder:
             ValueError: If something there has the name of a result, also the partial one, and is no file or not of a
                 run, or another run is writing into it.
         """
-        path = Path(path)
+        path = checked_path(path)
         self.path, self._home = path, path.absolute()  # a plug-in may go to another folder meanwhile
         self._partials: dict[str, Path] = {}
         self._parts: Path | None = None

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from foreglow.config import read_config
 from foreglow.datasets.json_files import MAX_LINE_BYTES, parse_json
-from foreglow.files import bounded_lines, file_digest
+from foreglow.files import bounded_lines, checked_path, file_digest
 from foreglow.geometry import Floats
 from foreglow.runs.frame_line import (
     BeamEntry,
@@ -298,7 +298,7 @@ def has_tracks(path: Path | str) -> bool:
     Raises:
         ValueError: If that line is broken.
     """
-    path = Path(path)
+    path = checked_path(path)
     if path.suffix.lower() != ".jsonl" or not path.is_file():
         return False
     with path.open("rb") as file:
@@ -365,7 +365,7 @@ def read_tracks(path: Path | str) -> Mapping[int, Tracks]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form, or the run had no tracker; the message names the line and the field.
     """
-    return read_frame_lines(Path(path), lambda line: _tracks(_entries_of(line), line.get("vehicles")))
+    return read_frame_lines(checked_path(path), lambda line: _tracks(_entries_of(line), line.get("vehicles")))
 
 
 def read_results(path: Path | str, score_threshold: float) -> Mapping[int, FrameResult]:
@@ -384,7 +384,7 @@ def read_results(path: Path | str, score_threshold: float) -> Mapping[int, Frame
         _entries_of(line)
         return line_to_result(line, score_threshold)
 
-    return read_frame_lines(Path(path), convert)
+    return read_frame_lines(checked_path(path), convert)
 
 
 def _entries_of(line: FrameLine) -> list[TrackEntry]:
@@ -403,5 +403,5 @@ def read_gaps(path: Path | str) -> Mapping[int, Floats]:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not of that form; the message names the line and the field.
     """
-    beams = read_frame_lines(Path(path), lambda line: line.get("beam"))
+    beams = read_frame_lines(checked_path(path), lambda line: line.get("beam"))
     return {frame: _gaps_rad(beam) for frame, beam in beams.items() if beam is not None}

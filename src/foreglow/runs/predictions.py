@@ -169,7 +169,7 @@ def run_threshold(path: Path | str) -> float:
     Raises:
         ValueError: If the run's configuration is broken.
     """
-    threshold = own_threshold(Path(path))
+    threshold = own_threshold(checked_path(path, "predictions"))
     return 0.5 if threshold is None else threshold
 
 

@@ -150,14 +150,15 @@ class RecordedRun:
             OSError: If the file cannot be written.
         """
         columns = columns_of(self.sequences, table)
-        self._check_output(Path(path), TABLE)
+        path = checked_path(path)
+        self._check_output(path, TABLE)
         try:
             import pyarrow as pa
             import pyarrow.parquet as pq
         except ModuleNotFoundError as error:
             words = "pyarrow is not installed: pip install 'foreglow[parquet]'"
             raise ModuleNotFoundError(words, name=error.name) from None
-        with atomic_path(Path(path)) as temporary:
+        with atomic_path(path) as temporary:
             pq.write_table(pa.table(dict(columns)), temporary)
 
     def write_coco(self, path: Path | str) -> None:
@@ -167,7 +168,8 @@ class RecordedRun:
             ValueError: If the file is a part of the run or its source, or of another kind.
             OSError: If the file cannot be written.
         """
-        self._check_output(Path(path), COCO_RESULTS)
+        path = checked_path(path)
+        self._check_output(path, COCO_RESULTS)
         entries = [
             {"image_id": result.frame, "category_id": COCO_LIGHT, "bbox": [x1, y1, x2 - x1, y2 - y1], "score": score}
             for results in self.sequences.values()
@@ -177,7 +179,7 @@ class RecordedRun:
                 result.detections.boxes_xyxy_px.tolist(), result.detections.scores.tolist(), strict=True
             )
         ]
-        write_atomic(Path(path), (json.dumps(entries) + "\n").encode())
+        write_atomic(path, (json.dumps(entries) + "\n").encode())
 
     def _check_output(self, path: Path, kind: FileKind) -> None:
         """ValueError if the file is a part of the run or of its source, or one of another kind."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from foreglow.beam.messages import RAMP_S, CanFrame, CommandEncoder
 from foreglow.datasets.vehicle_logs.can_writing import keep_times
 from foreglow.datasets.vehicle_logs.log_frames import CanKey
+from foreglow.files import checked_path
 from foreglow.plugins import described, words_of
 from foreglow.runtime.time_axis import TimeAxis
 from foreglow.types import BeamCommand, Frame, FrameResult
@@ -61,7 +62,7 @@ class CanLogSink:
             ValueError: If there is no such format.
             OSError: If it cannot be written; the message names the path.
         """
-        path = Path(path)
+        path = checked_path(path)
         import can
 
         kind = (path.suffix if suffix is None else suffix).lower()

@@ -23,6 +23,7 @@ from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally, model_digest
 from foreglow.runtime.run import InterruptFlag, ResultSink, check_readable, step_through
 from foreglow.types import Frame, FrameResult
+from foreglow.types.arrays import check_kind, check_members
 
 REPORT_S = 0.1
 """Time between two reports of a part's progress, seconds."""
@@ -117,10 +118,14 @@ def run_apart(
     Raises:
         ChildProcessError: If a sequence cost several processes; the message names it.
         FileNotFoundError: If a worker of a cluster lacks a file.
-        ValueError: If a frame is unreadable and the source stops at it, its content is unfit, no frame at all can
-            be read, or the file of the model changed before all workers had opened it.
+        ValueError: If an argument is of another kind, a frame is unreadable and the source stops at it, its content is
+            unfit, no frame at all can be read, or the file of the model changed before all workers had opened it.
         OSError: If a result cannot be written; the message names the path.
     """
+    check_kind("opening", opening, Opening)
+    check_kind("config", config, PipelineConfig)
+    check_kind("folder", folder, OutputFolder)
+    check_members("workers", workers, "workers, such as foreglow.parallel.Local(jobs)", "each", "num_workers")
     with folder:
         tally = Tally(config)
         source = opening()

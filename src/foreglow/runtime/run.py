@@ -21,13 +21,14 @@ from typing import Protocol, TypeVar
 from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, how_read, lost_parts
-from foreglow.datasets.source import also_left_out
+from foreglow.datasets.source import also_left_out, check_source
 from foreglow.plugins import staying
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
+from foreglow.types.arrays import check_kind, check_members, checked_whole
 from foreglow.whole_files import ENDINGS, undisturbed
 
 PATIENCE_S = 2.0
@@ -151,16 +152,22 @@ def run(
         among: Numbers of the frames to take, where an interrupted run of several jobs did not reach all; None for all.
 
     Raises:
-        ValueError: If a frame is unreadable and the source stops at it, its content is unfit, or no frame at all can
-            be read; with an `origin` also if the source has fewer than `limit` frames.
+        ValueError: If an argument is of another kind; if a frame is unreadable and the source stops at it, its content
+            is unfit, or no frame at all can be read; with an `origin` also if the source has fewer than `limit` frames.
         OSError: If a result cannot be written; the message names the path.
     """
+    check_source("source", source)
+    check_members("pipeline", pipeline, "a pipeline", "config", "dispatch", "step", "reset")
+    if folder is not None:
+        check_kind("folder", folder, OutputFolder)
+    check_kind("sinks", sinks, Iterable)
     tally, name = Tally(pipeline.config), source_name or origin_name(source)
     all_sinks: list[ResultSink] = []
     with folder or contextlib.nullcontext(), discarding(all_sinks):
         if folder is not None:
             all_sinks += folder.line_sinks()
         open_each(sinks, all_sinks)
+        limit = None if limit is None else checked_whole("limit", limit, 0)
         with InterruptFlag() as interrupt:
             taken = (frame for frame in source if among is None or frame.frame in among)
             step_through(itertools.islice(taken, limit), pipeline, all_sinks, tally, lambda: interrupt.is_set)
@@ -218,7 +225,9 @@ def open_each(sinks: Iterable[Sink], opened: list[Sink]) -> None:
     while len(opened) != num_before:
         num_before = len(opened)
         with undisturbed():
-            opened.extend(itertools.islice(making, 1))
+            for sink in itertools.islice(making, 1):
+                check_members("sinks", sink, "result sinks", "write", "close", "discard")
+                opened.append(sink)
 
 
 def step_through(

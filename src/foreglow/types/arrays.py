@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any, TypeAlias, cast
 
@@ -118,6 +118,83 @@ def check_kind(field: str, value: object, kind: type) -> None:
     """
     if not isinstance(value, kind):
         raise ValueError(f"{field}: expected {kind.__name__}, got {type(value).__name__}")
+
+
+def check_members(field: str, value: object, expected: str, *names: str) -> None:
+    """Checks that `value`, an object of anybody's class, has what is called so.
+
+    Args:
+        field: Its name, for the message.
+        value: Anything, such as what a user plugs in.
+        expected: What it is, in words.
+        names: Its attributes and methods.
+
+    Raises:
+        ValueError: If it lacks one, or is a class; the message begins with `field`.
+
+    >>> check_members("outputs", None, "connections to the lamps", "send", "close")
+    Traceback (most recent call last):
+    ValueError: outputs: expected connections to the lamps, got NoneType, which lacks send, close
+    """
+    lacking = [name for name in names if not hasattr(value, name)]
+    if isinstance(value, type):
+        raise ValueError(f"{field}: expected {expected}, got the class {value.__name__}, no object of it")
+    if lacking:
+        raise ValueError(f"{field}: expected {expected}, got {type(value).__name__}, which lacks {', '.join(lacking)}")
+
+
+def check_each(field: str, values: object, expected: str, *names: str) -> None:
+    """As `check_members`, for each of a sequence.
+
+    Raises:
+        ValueError: If there is no sequence, or one lacks something; the message begins with `field`.
+    """
+    check_kind(field, values, Sequence)
+    for value in cast("Sequence[object]", values):
+        check_members(field, value, expected, *names)
+
+
+def check_callables(**functions: object) -> None:
+    """Checks that each of the `functions`, which are given by their names, can be called.
+
+    Raises:
+        ValueError: If one cannot; the message begins with its name.
+    """
+    for name, value in functions.items():
+        if not callable(value):
+            raise ValueError(f"{name}: expected a function, got {shortened(value)}")
+
+
+def check_names(field: str, names: object) -> None:
+    """Checks that `names` is a sequence of texts, and no text, each of whose letters would be one.
+
+    Raises:
+        ValueError: If it is not; the message begins with `field`.
+
+    >>> check_names("faults", "low_voltage")
+    Traceback (most recent call last):
+    ValueError: faults: expected a sequence of names, got 'low_voltage'
+    """
+    if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{field}: expected a sequence of names, got {shortened(names)}")
+
+
+def checked_whole(field: str, value: object, least: int, most: int | None = None) -> int:
+    """A whole number from `least` to `most`, such as a count, as a plain one.
+
+    Raises:
+        ValueError: If it is another one, or none; the message begins with `field`.
+
+    >>> checked_whole("limit", "3", 0)
+    Traceback (most recent call last):
+    ValueError: limit: expected a whole number of at least 0, got '3'
+    """
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        number = int(value)
+        if least <= number and (most is None or number <= most):
+            return number
+    bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
+    raise ValueError(f"{field}: expected a whole number {bounds}, got {shortened(value)}")
 
 
 def checked_time_ns(field: str, time_ns: object) -> int:

@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Value, checked_array, checked_time_ns
+from foreglow.types.arrays import Value, checked_array, checked_time_ns, checked_whole
 from foreglow.wording import shortened
 
 _FLOAT64 = np.dtype(np.float64)
@@ -102,7 +102,12 @@ class BeamCommand(Value):
 
     @classmethod
     def low(cls, timestamp_ns: int, num_leds: int, *faults: str) -> BeamCommand:
-        """Low beam, with the faults that it is commanded for, the first `MAX_FAULTS` of them."""
+        """Low beam, with the faults that it is commanded for, the first `MAX_FAULTS` of them.
+
+        Raises:
+            ValueError: If the time, the number of LEDs a lamp or a fault is none.
+        """
+        num_leds = checked_whole("num_leds", num_leds, 1)
         return cls(timestamp_ns, BeamMode.LOW, np.zeros((2, num_leds)), faults=faults[:MAX_FAULTS])
 
 

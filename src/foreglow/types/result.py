@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foreglow.types.arrays import Image, Value
+from foreglow.types.arrays import Image, Value, check_kind, check_members, check_numbers, checked_time_ns, checked_whole
 from foreglow.types.beam import BeamCommand
 from foreglow.types.boxes import Detections, Proposals, Ranges
 from foreglow.types.tracks import Tracks
@@ -97,6 +97,15 @@ def _spread(axes: Axes, labels: Sequence[tuple[Text, Rectangle]]) -> None:
         text.set_position(to_data.transform(low).tolist())
 
 
+_KINDS = (
+    ("proposals", Proposals),
+    ("detections", Detections),
+    ("ranges", Ranges),
+    ("tracks", Tracks),
+    ("beam", BeamCommand),
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameResult(Value):
     """The results of all stages for one frame.
@@ -111,6 +120,9 @@ class FrameResult(Value):
         tracks: The tracks after this frame; None without detections or without a tracker.
         beam: The command to our headlamps; None without tracks, or if no beam is configured.
         stage_ms: Run-time of each stage in milliseconds, by stage name; differs from run to run.
+
+    Raises:
+        ValueError: If a field is of another type, or number or time is no whole number of 64 bits.
     """
 
     frame: int
@@ -123,6 +135,13 @@ class FrameResult(Value):
     beam: BeamCommand | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "frame", checked_whole("FrameResult.frame", self.frame, -(2**63), 2**63 - 1))
+        object.__setattr__(self, "timestamp_ns", checked_time_ns("FrameResult.timestamp_ns", self.timestamp_ns))
+        for name, kind in _KINDS:
+            value = getattr(self, name)
+            if value is not None or name == "proposals":
+                check_kind(f"FrameResult.{name}", value, kind)
+        check_kind("FrameResult.stage_ms", self.stage_ms, Mapping)
         object.__setattr__(self, "stage_ms", MappingProxyType(dict(self.stage_ms)))
 
     def plot(self, image: Image | None = None, axes: Axes | None = None) -> Axes:
@@ -134,7 +153,12 @@ class FrameResult(Value):
 
         Raises:
             ModuleNotFoundError: If matplotlib is not installed (extra `plots`).
+            ValueError: If the image is no array (height, width) of numbers, or there are no axes in `axes`.
         """
+        if image is not None:
+            check_numbers("image", image, (None, None))
+        if axes is not None:
+            check_members("axes", axes, "axes of matplotlib", "add_patch", "imshow", "set_title")
         shown = plot(self.proposals, self.detections, self.tracks, image, axes)
         shown.set_title(f"frame {self.frame}")
         return shown

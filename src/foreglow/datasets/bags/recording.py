@@ -23,7 +23,7 @@ from foreglow.datasets.file_state import FileStates
 from foreglow.datasets.images import decode_image
 from foreglow.datasets.json_files import parse_json
 from foreglow.datasets.source import FileSource, OnError, TimeOrder
-from foreglow.files import check_file
+from foreglow.files import check_file, checked_path
 from foreglow.types import Frame, Image
 
 NS = 1_000_000_000
@@ -190,7 +190,7 @@ class Recording(FileSource):
             ValueError: If it is not a recording, has no such topic with images, or, with `stop`, lacks its end.
         """
         super().__init__(path, on_error)
-        self.path = Path(path)
+        self.path = self.origin
         self._container = _opened(self.path)
         self._states = FileStates(_files_of(self.path))
         if self._container.truncation and on_error == "stop":
@@ -286,7 +286,7 @@ class Recording(FileSource):
 
 def is_recording(path: Path | str) -> bool:
     """Whether `path` is a recording by its name, or a ROS 2 bag by its metadata."""
-    path = Path(path)
+    path = checked_path(path)
     return (path / METADATA).is_file() if path.is_dir() else _ending(path) in CONTAINERS
 
 

@@ -13,6 +13,7 @@ from foreglow.datasets.exchange.coco import coco_text, read_coco
 from foreglow.datasets.exchange.cvat import cvat_text, cvat_video_text, read_cvat
 from foreglow.datasets.exchange.label_studio import label_studio_text, read_label_studio
 from foreglow.datasets.exchange.marks import LabelSet
+from foreglow.files import checked_path
 
 _HEAD_BYTES = 4096
 
@@ -56,7 +57,7 @@ LABEL_FORMATS: dict[str, LabelFormat] = {
 
 def label_format_of(path: Path | str) -> str | None:
     """The name of the format of the file at `path`; None if it is none of them."""
-    path = Path(path)
+    path = checked_path(path)
     if path.suffix.lower() not in (".xml", ".json") or not path.is_file():
         return None
     with path.open("rb") as file:
@@ -83,7 +84,7 @@ def read_labels_file(path: Path | str) -> LabelSet:
         FileNotFoundError: If there is no such file.
         ValueError: If it has none of the formats, or is broken.
     """
-    path = Path(path)
+    path = checked_path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file, expected labels of CVAT, COCO or Label Studio")
     name = label_format_of(path)

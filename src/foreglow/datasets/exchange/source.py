@@ -46,6 +46,7 @@ from foreglow.datasets.pvdn.splits import is_split
 from foreglow.datasets.source import OnError
 from foreglow.datasets.vehicle_data import timestamp_ns
 from foreglow.datasets.video import Video
+from foreglow.files import checked_path
 from foreglow.types import Frame
 from foreglow.types.white import full_scale
 
@@ -99,10 +100,10 @@ class LabelFile(LabelledSource):
             ValueError: If it cannot be used.
         """
         super().__init__(path, on_error)
-        self.path = Path(path)
+        self.path = self.origin
         self.root = self.path.parent
         self.labels: LabelSet = read_labels_file(self.path)
-        self.folder, self._video = self._images_at(None if images is None else Path(images))
+        self.folder, self._video = self._images_at(None if images is None else checked_path(images, "images"))
         self.passed_over = {}
         self._splits: dict[Path, PVDN | None] = {}
         self._ids_in_split: dict[Path, dict[str, int]] = {}

@@ -32,11 +32,13 @@ from foreglow.datasets.pvdn.writer import LabelledImage, PVDNWriter, check_new_s
 from foreglow.datasets.source import FrameSource, also_left_out
 from foreglow.datasets.vehicle_data import origin_of
 from foreglow.datasets.video import Video
+from foreglow.files import checked_path
 from foreglow.folder_lock import FolderLock
 from foreglow.own_files import labels_format, with_labels_digest
 from foreglow.types import Frame
+from foreglow.types.arrays import check_kind
 from foreglow.whole_files import write_atomic
-from foreglow.wording import exact_seconds
+from foreglow.wording import check_one_of, exact_seconds
 
 _HIDDEN = ".import.partial"
 """Folder for a split until all of it is written."""
@@ -90,6 +92,7 @@ class Guess:
 
 def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) -> LabelSet:
     """The labels of a data set, or of the images with the ids `chosen`, with what no annotation tool takes as lost."""
+    check_kind("dataset", dataset, LabelledSource)
     lost: Counter[str] = Counter()
     images = []
     for image_id in _wanted(dataset, chosen):
@@ -120,6 +123,7 @@ def labels_of(dataset: LabelledSource, chosen: Collection[int] | None = None) ->
 def _wanted(dataset: LabelledSource, chosen: Collection[int] | None) -> tuple[int, ...]:
     if chosen is None:
         return dataset.frame_ids
+    check_kind("chosen", chosen, Collection)
     unknown = set(chosen) - set(dataset.frame_ids)
     if unknown:
         raise ValueError(f"{dataset.root}: frames: expected images of the data set, got {min(unknown)}")
@@ -191,9 +195,8 @@ def check_target(path: Path | str, name: str) -> None:
     Raises:
         ValueError: If there is no such format, the ending is another, or labels in another format are there.
     """
-    path = Path(path)
-    if name not in LABEL_FORMATS:
-        raise ValueError(f"--format: expected one of {', '.join(LABEL_FORMATS)}, got {name!r}")
+    path = checked_path(path)
+    check_one_of(name, LABEL_FORMATS, "--format")
     if path.suffix.lower() != LABEL_FORMATS[name].suffix:
         raise ValueError(f"{path}: expected a name ending in {LABEL_FORMATS[name].suffix} for {name}")
     there = labels_format(path) if path.is_file() else None
@@ -208,8 +211,9 @@ def write_labels_file(path: Path | str, labels: LabelSet, name: str, *, is_guess
         ValueError: If there is no such format, the ending is another, or it cannot take these labels.
         OSError: If the file cannot be written.
     """
-    path = Path(path)
+    path = checked_path(path)
     check_target(path, name)
+    check_kind("labels", labels, LabelSet)
     form = LABEL_FORMATS[name]
     if form.has_names:
         for image in labels.images:
@@ -242,7 +246,8 @@ def write_split(
             writing into it.
         OSError: If a file cannot be read or written.
     """
-    root = Path(root)
+    check_kind("dataset", dataset, LabelledSource)
+    root = checked_path(root, "root")
     with FolderLock(root):
         check_new_split(root)
         hidden = root / _HIDDEN

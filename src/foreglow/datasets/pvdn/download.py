@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from foreglow.datasets.pvdn.labels import read_labels
+from foreglow.files import checked_path
 
 PVDN_COUNTS = {
     "day/train": (113, 19_078),
@@ -105,7 +106,7 @@ def download_pvdn(target: Path | str, handle: str = PVDN_HANDLE) -> Path:
             cannot be reached; a line says what to do.
         OSError: If the folder cannot be written.
     """
-    target = Path(target)
+    target = checked_path(target, "target")
     try:
         kagglehub: Any = importlib.import_module("kagglehub")
         errors: Any = importlib.import_module("kagglehub.exceptions")

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from foreglow.files import check_is_folder
+from foreglow.files import check_is_folder, checked_path
 from foreglow.wording import check_one_of
 
 SplitName: TypeAlias = Literal["train", "val", "test"]
@@ -41,7 +41,7 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
         ValueError: If there are several, such as those of `day` and `night`, or no split is ever called so.
     """
     check_one_of(name, SplitName, "split")
-    root = Path(data)
+    root = checked_path(data, "data")
     check_is_folder(root, "a data set with train, val and test")
     found = sorted(path for path in (root / name, *root.glob(f"*/{name}")) if is_split(path))
     if not found:
@@ -61,11 +61,12 @@ def split_in(data: Path | str, name: SplitName) -> Path:
             `MEASURED_ON` says nothing, as it is what nobody asked for.
     """
     check_one_of(name, SplitName, "split")
-    if not is_split(Path(data)):
+    data = checked_path(data, "data")
+    if not is_split(data):
         return split_folder(data, name)
-    if name not in (MEASURED_ON, Path(data).resolve().name):
+    if name not in (MEASURED_ON, data.resolve().name):
         raise ValueError(f"split: expected a whole data set with {name}, {data} is a single split")
-    return Path(data)
+    return data
 
 
 def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dict[SplitName, Path]:
@@ -83,7 +84,7 @@ def existing_splits(data: Path, names: Iterable[SplitName] = SPLIT_NAMES) -> dic
 
 def is_split(folder: Path | str) -> bool:
     """Whether `folder` is a PVDN split: it has a `labels/sequences.json`, or both images and the other label file."""
-    folder = Path(folder)
+    folder = checked_path(folder, "folder")
     return (folder / "labels" / "sequences.json").exists() or (
         (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
     )
@@ -91,7 +92,7 @@ def is_split(folder: Path | str) -> bool:
 
 def is_pvdn(path: Path | str) -> bool:
     """Whether `path` is a split, one of its sequences, or a folder with splits one or two levels below."""
-    path = Path(path)
+    path = checked_path(path)
     return path.is_dir() and bool(is_split(path) or splits_below(path) or _split_of_sequence(path))
 
 

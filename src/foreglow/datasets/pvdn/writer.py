@@ -32,7 +32,9 @@ from foreglow.datasets.pvdn.schema import (
     Vehicle,
 )
 from foreglow.datasets.pvdn.splits import splits_below
+from foreglow.files import checked_path
 from foreglow.types import Frame
+from foreglow.types.arrays import check_kind
 from foreglow.whole_files import write_atomic
 
 CAMERA_CONFIGURATIONS = tuple(CameraConfiguration(camera="Cam01", cycle=cycle) for cycle in Cycle)
@@ -104,8 +106,9 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             ValueError: If the folder holds images or labels already, or `rate_hz` is none that images can have.
             OSError: If the folders cannot be made.
         """
-        self.root = Path(root)
-        self._name = Path(name or self.root)
+        self.root = checked_path(root, "root")
+        self._name = self.root if name is None else checked_path(name, "name")
+        check_kind("info", {} if info is None else info, Mapping)
         self._info = dict(info or {})
         rate_of(self._info, self._name)
         _make_folders(self.root)
@@ -269,7 +272,8 @@ def write_pvdn(source: PVDN, root: Path | str) -> None:
         ValueError: If such a file is broken, an image's name does not end in .png, or `root` has images or labels.
         OSError: If a file cannot be written.
     """
-    root = Path(root)
+    check_kind("source", source, PVDN)
+    root = checked_path(root, "root")
     _make_folders(root)
     for image_id, record in source.labels.images.items():
         if not record.file_name.lower().endswith(".png"):

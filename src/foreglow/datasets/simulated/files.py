@@ -35,6 +35,7 @@ from foreglow.datasets.images import png, read_image
 from foreglow.datasets.json_files import Record, read_json, read_json_lines
 from foreglow.datasets.simulated.shares import SHARES_FILE
 from foreglow.datasets.simulated.truth import FrameTruth
+from foreglow.files import checked_path
 from foreglow.geometry import Camera, Floats
 from foreglow.whole_files import write_atomic
 
@@ -224,7 +225,7 @@ class SimulatedTruth:
 
     def __init__(self, root: Path | str) -> None:
         """Reads `info.json` and lists the sequences."""
-        root = Path(root)
+        root = checked_path(root, "root")
         self.root = root
         self.info = read_info(root)
         self.sequence_ids = finished_sequences(root)
@@ -267,7 +268,7 @@ def read_truth(root: Path | str) -> SimulatedTruth:
         FileNotFoundError: If the split is not simulated, or its `info.json` is gone.
         ValueError: If its `info.json` is broken.
     """
-    return SimulatedTruth(Path(root))
+    return SimulatedTruth(root)
 
 
 def read_info(root: Path) -> InfoFile:
@@ -302,7 +303,7 @@ def read_sequence(root: Path, sequence_id: int) -> SequenceTruth:
 
 def has_truth(root: Path | str) -> bool:
     """Whether the split in the folder `root` is simulated, also one that has lost its `info.json`."""
-    root = Path(root)
+    root = checked_path(root, "root")
     return _info_path(root).exists() or any((root / "simulation").glob("S[0-9]*/frames.jsonl"))
 
 
@@ -318,7 +319,7 @@ def sequence_folder(root: Path, sequence_id: int) -> Path:
 
 def shares_path(root: Path | str, sequence_id: int) -> Path:
     """The file that says whose light is in the proposals of a sequence; only some data sets have it."""
-    root = Path(root)
+    root = checked_path(root, "root")
     return sequence_folder(root, sequence_id) / SHARES_FILE
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.files import checked_path
 from foreglow.types import LIGHT_KINDS
 from foreglow.whole_files import atomic_path
 
@@ -102,7 +103,7 @@ def read_shares(path: Path | str) -> Iterator[tuple[int, BoxShares]]:
         ModuleNotFoundError: If the extra `parquet` is not installed.
         ValueError: If the file is broken; the message names it.
     """
-    path = Path(path)
+    path = checked_path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; foreglow simulate --shares PRESET makes it")
     arrow = load_arrow()

@@ -17,7 +17,7 @@ from foreglow.datasets.vehicle_logs.log_frames import CanKey, read_frames
 from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal, Section
 from foreglow.datasets.vehicle_logs.quantities import FACTORS, factor_of, has_both_signs, known_values
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
-from foreglow.files import MIB, read_text
+from foreglow.files import MIB, checked_path, read_text
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 from foreglow.wording import shortened
@@ -178,7 +178,7 @@ def read_can_log(path: Path | str, dbc: Path | str | None = None, mapping: Path 
         ValueError: If a file is broken, the log's times jump back, the mapping names something that the DBC does not
             have, the log has none of its frames, or only one of speed and yaw rate.
     """
-    path = Path(path)
+    path = checked_path(path)
     decoder = CanDecoder(dbc, mapping)
     for time_ns, key, data in sorted(read_frames(path, decoder.keys, decoder.bus), key=lambda frame: frame[0]):
         decoder.take(time_ns, key, data, f"{path}: frame at {time_ns / 1e9:.6f} s")
@@ -290,7 +290,8 @@ class CanDecoder:
         """
         if (dbc is None) != (mapping is None):
             raise ValueError(f"{dbc or mapping}: expected a DBC and a mapping together, got one of them")
-        dbc, mapping = Path(dbc or OWN_DBC), Path(mapping or OWN_MAPPING)
+        dbc = OWN_DBC if dbc is None else checked_path(dbc, "dbc")
+        mapping = OWN_MAPPING if mapping is None else checked_path(mapping, "mapping")
         self.log = CanLog(keep_s)
         messages = read_dbc(dbc)
         self._mapping = read_mapping(mapping)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from foreglow.datasets.vehicle_logs.can_log import OWN_DBC, OWN_MAPPING, read_dbc, read_mapping
 from foreglow.datasets.vehicle_logs.log_frames import LOG_SUFFIXES
 from foreglow.datasets.vehicle_logs.street_frames import position_values, segment_values
+from foreglow.files import checked_path
 from foreglow.street import NUM_SEGMENT_IDS, StreetMessage
 from foreglow.types import EgoMotion
 from foreglow.whole_files import write_atomic
@@ -44,7 +45,7 @@ def write_can_log(
     """
     import can
 
-    path = Path(path)
+    path = checked_path(path)
     if path.suffix.lower() not in LOG_SUFFIXES:
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
     frames = _Encoder().frames(streets, motions)

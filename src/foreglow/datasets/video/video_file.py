@@ -84,7 +84,7 @@ class Video(FileSource):
                 also if the file is shorter than its container says, or frames may be missing.
         """
         super().__init__(path, on_error)
-        self.path = Path(path)
+        self.path = self.origin
         if not self.path.exists():
             raise FileNotFoundError(f"{self.path}: no such video")
         check_file(self.path)

@@ -18,6 +18,7 @@ import numpy as np
 import rerun as rr
 from rerun.blueprint import Blueprint
 
+from foreglow.files import checked_path
 from foreglow.whole_files import AtomicFile, naming
 
 APPLICATION = "foreglow"
@@ -89,7 +90,7 @@ class RrdFile:
             OSError: If it cannot be written; the message names the path.
             ValueError: If the path does not end in `.rrd`.
         """
-        path = Path(path)
+        path = checked_path(path)
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         self._path = path

@@ -24,7 +24,7 @@ from foreglow.datasets.json_files import json_bytes, read_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
 from foreglow.datasets.pvdn.splits import SPLIT_NAMES, existing_splits
-from foreglow.files import to_json
+from foreglow.files import checked_path, to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
 from foreglow.lab.evaluation.boxes.breakdown import num_outside
@@ -166,7 +166,7 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
         FileNotFoundError: If there is no such folder or split.
         ValueError: If a name is unknown, `data` is a single split with another name, or a name fits several folders.
     """
-    root = Path(data)
+    root = checked_path(data, "data")
     for name in names:
         check_one_of(name, SPLIT_NAMES, "split")
     if root.is_dir() and is_split(root):

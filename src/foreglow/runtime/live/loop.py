@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 from foreglow.config import PipelineConfig
+from foreglow.geometry import checked_number
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import described, words_of
 from foreglow.runs.summary_file import LiveSummary
@@ -20,12 +21,13 @@ from foreglow.runtime.live.background import Background
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.live.outlet import LIMIT_S, BeamOutput, Outlet
-from foreglow.runtime.live.sources import LiveSource, Paced
+from foreglow.runtime.live.sources import LiveSource, Paced, check_live_source
 from foreglow.runtime.live.watch import CAMERA, FrameWatch
-from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker
+from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, Worker, made_by
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.run import PATIENCE_S, InterruptFlag, check_readable
 from foreglow.types import BeamCommand, Frame
+from foreglow.types.arrays import check_callables, check_each, check_kind, checked_whole
 
 LIVE_FAULTS = frozenset(LiveFault)
 
@@ -118,8 +120,15 @@ class LiveLoop:
             give_up_s: End after so long without a frame; None waits for ever.
 
         Raises:
-            ValueError: If the lamps' description is broken.
+            ValueError: If the lamps' description is broken, or an argument is of another kind.
         """
+        check_live_source("source", source)
+        check_kind("config", config, PipelineConfig)
+        check_each("outputs", outputs, "connections to the lamps", "send", "close")
+        check_each("sinks", sinks, "live sinks", "write", "write_health", "close", "discard")
+        check_callables(make_pipeline=make_pipeline, beat=beat, at_begin=at_begin, at_end=at_end)
+        if give_up_s is not None and not checked_number("give_up_s", give_up_s) > 0:
+            raise ValueError(f"give_up_s: expected a positive number of seconds or None, got {give_up_s}")
         self._source, self._config, self._proposals = source, config.live, config.proposals
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
         self._at_begin, self._at_end, self._give_up_s = at_begin, at_end, give_up_s
@@ -148,15 +157,17 @@ class LiveLoop:
     def run(self, limit: int | None = None) -> LiveSummary:
         """Runs until the source ends, Ctrl-C, or `limit` frames; then closes the sinks, with the lamps in low beam.
 
+        SIGTERM, and SIGHUP but under `nohup`, count as Ctrl-C. In a thread other than the main one no signal ends it.
+
         Raises:
             LiveEndedError: If `MAX_HUNG` pipelines hang, none can be made for `rebuild_s`, no frame came for
                 `give_up_s`, or a source that is no camera cannot be read any further, whatever it raised (its cause);
                 it has the summary.
-            ValueError: If the pipeline commands no beam; if a source has frames, and none of them can be read, or the
-                first one is too small for the configured region.
+            ValueError: If `limit` is no count; if the pipeline is none, or commands no beam; if a source has frames,
+                and none of them can be read, or the first one is too small for the configured region.
             Exception: What `make_pipeline` raised, or a source that is no camera before the first result.
         """
-        self._limit = limit
+        self._limit = None if limit is None else checked_whole("limit", limit, 0)
         with contextlib.ExitStack() as ending:
             try:
                 pipeline, reader = self._start()
@@ -189,9 +200,7 @@ class LiveLoop:
 
     def _start(self) -> tuple[LivePipeline, threading.Thread]:
         """Makes the pipeline, and starts the threads, of which it returns the one that reads."""
-        pipeline = self._make_pipeline()
-        if not pipeline.config.commands:
-            raise ValueError("make_pipeline: expected one that commands a beam, as of `config.commanding()`")
+        pipeline = made_by(self._make_pipeline)
         self._tally = Tally(pipeline.config)
         self._watch = FrameWatch(
             self._config,

@@ -9,9 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
 from foreglow.datasets import FrameSource, how_read, lost_parts, unread_end
+from foreglow.datasets.source import check_source
+from foreglow.geometry import checked_number
 from foreglow.runs.origin import origin_name
 from foreglow.runtime.live.watch import MAX_DELAY_NS
 from foreglow.types import BeamCommand, Frame
+from foreglow.types.arrays import check_members
 
 START_S = 120.0
 """Longest time that a source without a rate of its own, such as a renderer, may take for a frame."""
@@ -55,6 +58,17 @@ class LiveSource(FrameSource, Protocol):
         ...
 
 
+def check_live_source(field: str, source: object) -> None:
+    """Checks that `source` is what `LiveSource` describes.
+
+    Raises:
+        ValueError: As `check_source`, or if it is a recording that is not replayed; the message begins with `field`.
+    """
+    check_source(field, source)
+    expected = "frames in real time, as of Paced(source) or a camera"
+    check_members(field, source, expected, "max_silence_s", "speed", "is_lossless", "is_endless", "now_ns")
+
+
 class ClosedLoop(ABC):
     """A live source whose coming frames are lit by our own beam commands; a `BeamOutput`, too."""
 
@@ -91,9 +105,10 @@ class Paced:
         """Replays `source` so many times as fast as it was recorded.
 
         Raises:
-            ValueError: If the speed is below `MIN_SPEED`.
+            ValueError: If `source` is none, or the speed is below `MIN_SPEED`.
         """
-        if not speed >= MIN_SPEED:
+        check_source("source", source)
+        if not checked_number("speed", speed) >= MIN_SPEED:
             raise ValueError(f"speed: expected a positive number of at least {MIN_SPEED:g}, got {speed}")
         self._source = source
         self.name, self.rate_hz, self.num_frames = origin_name(source), source.rate_hz, source.num_frames

@@ -8,13 +8,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from foreglow.config import LiveConfig
+from foreglow.config import LiveConfig, PipelineConfig
 from foreglow.plugins import described
 from foreglow.runtime.live.faults import FaultBook, LiveFault
 from foreglow.runtime.live.mailbox import Arrival, Mailbox
 from foreglow.runtime.memory import release_memory
 from foreglow.runtime.run import Stepper
 from foreglow.types import Frame, FrameResult
+from foreglow.types.arrays import check_kind, check_members
 
 THREADS = "live "
 """Begins the names of threads that may hang, in a stage, a sink or a camera's driver, and can't be ended then."""
@@ -34,6 +35,23 @@ class LivePipeline(Stepper, Protocol):
     def step(self, frame: Frame, *, now_ns: Callable[[], int] | None = None, faults: Sequence[str] = ()) -> FrameResult:
         """As `Pipeline.step`."""
         ...
+
+
+def made_by(make_pipeline: Callable[[], LivePipeline]) -> LivePipeline:
+    """The pipeline that `make_pipeline`, a user's function, makes.
+
+    Raises:
+        ValueError: If it makes none, or one that commands no beam.
+        Exception: What it raised.
+    """
+    pipeline = make_pipeline()
+    check_members(
+        "make_pipeline", pipeline, "one that makes a pipeline", "config", "step", "reset", "stage", "dispatch"
+    )
+    check_kind("make_pipeline: config", pipeline.config, PipelineConfig)
+    if not pipeline.config.commands:
+        raise ValueError("make_pipeline: expected one that commands a beam, as of `config.commanding()`")
+    return pipeline
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +169,7 @@ class Worker:
         release_memory()  # that of the pipeline before
         self._making_since_s = time.monotonic()
         try:
-            self._pipeline = self._make_pipeline()
+            self._pipeline = made_by(self._make_pipeline)
             self._missing_since_s = None
         except BaseException as error:  # such as a model file that is being replaced: tried again later
             self.reason = described(error)

@@ -14,7 +14,7 @@ from foxglove.mcap import MCAPWriteOptions
 
 from foreglow.config import PipelineConfig, config_to_toml
 from foreglow.datasets.bags.mcap_file import END_METADATA_NAME, IS_COMPLETE
-from foreglow.files import path_in_unicode
+from foreglow.files import checked_path, path_in_unicode
 from foreglow.folder_lock import lock
 from foreglow.runs.origin import full_name
 from foreglow.whole_files import check_replaceable, numbered, partial_path, put, replaces_only, undisturbed
@@ -134,7 +134,7 @@ class RecordingFile:
             ValueError: If the path does not end in `.mcap`, what is there is no file, or another run is recording into
                 it.
         """
-        path = Path(path)
+        path = checked_path(path)
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         check_replaceable(path)
