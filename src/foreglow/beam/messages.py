@@ -26,6 +26,8 @@ from foreglow.beam.gap_light import GapLight
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
+from foreglow.types.arrays import check_kind, checked_whole
+from foreglow.wording import shortened
 
 OWN_DBC = Path(__file__).with_name("foreglow_beam.dbc")
 
@@ -211,6 +213,7 @@ class CommandEncoder:
         Raises:
             ValueError: As `encode_levels` and `encode_gaps`.
         """
+        check_kind("command", command, BeamCommand)
         said = dict.fromkeys(MESSAGES, command) | {"gaps": self.gap_light.told(command)}
         if not self._has_levels:
             del said["levels"]
@@ -223,8 +226,9 @@ def encode_levels(command: BeamCommand, counter: int) -> tuple[CanFrame, ...]:
     """The command's levels as four frames of 48 bytes; each level is rounded down to a step of 1/255.
 
     Raises:
-        ValueError: If the command is not for `NUM_LEDS` LEDs per lamp, or the counter is outside 0..255.
+        ValueError: If the command is none, or not for `NUM_LEDS` LEDs per lamp, or the counter is outside 0..255.
     """
+    check_kind("command", command, BeamCommand)
     if command.levels.shape[1] != NUM_LEDS:
         raise ValueError(f"BeamCommand.levels: expected {NUM_LEDS} LEDs a lamp, got {command.levels.shape[1]}")
     codes = (LEVELS.searchsorted(command.levels.ravel(), side="right") - 1).astype(np.uint8).tobytes()
@@ -242,8 +246,9 @@ def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = RAMP_S) -> C
     light between them while there are more than four. A joined gap has the nearer range, unknown if either is.
 
     Raises:
-        ValueError: If the ramp is not within 0 to 3 s, or the counter is outside 0..255.
+        ValueError: If the command is none, the ramp is not within 0 to 3 s, or the counter is outside 0..255.
     """
+    check_kind("command", command, BeamCommand)
     ramp_s = _checked_ramp_s(ramp_s)
     borders, ranges_m = command.gaps_rad.tolist(), command.gap_ranges_m.tolist()
     gaps = _joined([_gap_codes(right, left, range_m) for (right, left), range_m in zip(borders, ranges_m, strict=True)])
@@ -255,7 +260,7 @@ def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = RAMP_S) -> C
 
 def _checked_ramp_s(ramp_s: object) -> float:
     if not isinstance(ramp_s, int | float) or not 0.0 <= ramp_s <= RAMPS_S[-1]:
-        raise ValueError(f"ramp_s: expected 0 to {RAMPS_S[-1]:g} s, got {ramp_s}")
+        raise ValueError(f"ramp_s: expected 0 to {RAMPS_S[-1]:g} s, got {shortened(ramp_s)}")
     return ramp_s
 
 
@@ -273,7 +278,9 @@ def decode_part(frame_id: int, data: bytes) -> LevelsPart:
 
     Raises:
         MessageError: If the frame is broken, or has another identifier.
+        ValueError: If the identifier is no whole number, or the data are no bytes.
     """
+    frame_id = check_frame(frame_id, data)
     if frame_id not in LEVELS_IDS:
         raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected one of levels, 0x3B0 to 0x3B3")
     content = _checked(frame_id, data, _LEVELS_SIZE)
@@ -289,7 +296,13 @@ def decode_levels(frames: Iterable[CanFrame]) -> LevelsMessage:
 
     Raises:
         MessageError: If a frame is broken or missing, or they belong to different commands.
+        ValueError: If they are no frames: pairs of an identifier and bytes.
     """
+    check_kind("frames", frames, Iterable)
+    frames = tuple(frames)
+    for frame in frames:
+        if not isinstance(frame, tuple) or len(frame) != len(CanFrame._fields):
+            raise ValueError(f"frames: expected CAN frames, each an identifier and bytes, got {shortened(frame)}")
     return join_levels([decode_part(*frame) for frame in frames])
 
 
@@ -313,7 +326,9 @@ def decode_gaps(frame_id: int, data: bytes) -> GapsMessage:
 
     Raises:
         MessageError: If the frame is broken, or has another identifier.
+        ValueError: If the identifier is no whole number, or the data are no bytes.
     """
+    frame_id = check_frame(frame_id, data)
     if frame_id != GAPS_ID:
         raise MessageError(LinkFault.CONTENT, f"frame 0x{frame_id:X}: expected that of gaps, 0x{GAPS_ID:X}")
     content = _checked(frame_id, data, _GAPS_SIZE)
@@ -336,9 +351,19 @@ def decode_gaps(frame_id: int, data: bytes) -> GapsMessage:
     )
 
 
+def check_frame(frame_id: object, data: object) -> int:
+    """The identifier of a CAN frame as a plain number.
+
+    Raises:
+        ValueError: If it is no whole number, or the frame's data are no bytes.
+    """
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise ValueError(f"data: expected bytes, got {type(data).__name__}")
+    return checked_whole("frame_id", frame_id, 0)
+
+
 def _packed_header(command: BeamCommand, counter: int, num_gaps: int = 0) -> bytes:
-    if not 0 <= counter < NUM_COUNTS:
-        raise ValueError(f"counter: expected 0 to {NUM_COUNTS - 1}, got {counter}")
+    counter = checked_whole("counter", counter, 0, NUM_COUNTS - 1)
     flags = int(command.mode) | bool(command.faults) << 2 | num_gaps << 3
     return _HEADER.pack(counter, flags, time_ms(command.timestamp_ns))
 

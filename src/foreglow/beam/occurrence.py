@@ -46,8 +46,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import Floats
+from foreglow.geometry import Floats, checked_number
 from foreglow.types import RoadAhead
+from foreglow.types.arrays import check_kind
 from foreglow.types.frame import MAX_SPEED_MPS
 
 PLACES_M = np.arange(10.0, 321.0, 10.0)
@@ -124,7 +125,14 @@ def occurrence(road: RoadAhead, light_range_m: float, speed_mps: float = 0.0) ->
         road: The road ahead.
         light_range_m: Least range of the farthest light; NaN where unknown.
         speed_mps: Ours; 0 where unknown. More than any car drives counts as the greatest: there is low beam then.
+
+    Raises:
+        ValueError: If the road is none, the range is no number, or the speed is none or NaN.
     """
+    check_kind("road", road, RoadAhead)
+    light_range_m, speed_mps = checked_number("light_range_m", light_range_m), checked_number("speed_mps", speed_mps)
+    if math.isnan(speed_mps):
+        raise ValueError("speed_mps: expected a number, 0 where it is unknown, got nan")
     ahead_m = min(max(speed_mps, 0.0), MAX_SPEED_MPS) * AHEAD_S
     places_m, azimuths, ranges_m, in_view = _views(road, ahead_m)
     lead_m = light_range_m + MIN_LEAD_M - ahead_m - OTHER_MPS * AHEAD_S  # (5)

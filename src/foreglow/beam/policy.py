@@ -21,6 +21,8 @@ from foreglow.geometry import Floats
 from foreglow.photometry import Headlamps
 from foreglow.plugins import METHODS, find, make
 from foreglow.types import BeamCommand, BeamMode, Frame, Image, Tracks
+from foreglow.types.arrays import check_kind
+from foreglow.wording import shortened
 
 OUTSIDE_M = 0.6
 """The same away from the vehicle's other lamp, where that is in sight: to the outside of the body and its mirrors."""
@@ -79,16 +81,20 @@ class SteadyBeam(BeamPolicy):
 class LowBeam(SteadyBeam):
     """Low beam, always."""
 
-    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
+        check_kind("frame", frame, Frame)
+        check_kind("tracks", tracks, Tracks)
         return BeamCommand.low(frame.timestamp_ns, self._num_leds)
 
 
 class HighBeam(SteadyBeam):
     """High beam, always."""
 
-    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:  # noqa: ARG002
+    def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
+        check_kind("frame", frame, Frame)
+        check_kind("tracks", tracks, Tracks)
         return BeamCommand(frame.timestamp_ns, BeamMode.FULL, np.ones((2, self._num_leds)))
 
 
@@ -113,6 +119,8 @@ class PaperPolicy(BeamPolicy):
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
+        check_kind("frame", frame, Frame)
+        check_kind("tracks", tracks, Tracks)
         return self._writer.command(frame.timestamp_ns, self.gaps(frame, tracks))
 
     def gaps(self, frame: Frame, tracks: Tracks) -> list[Gap]:
@@ -171,6 +179,8 @@ class ForeglowPolicy(BeamPolicy):
 
     def command(self, frame: Frame, tracks: Tracks) -> BeamCommand:
         """As `BeamPolicy.command`."""
+        check_kind("frame", frame, Frame)
+        check_kind("tracks", tracks, Tracks)
         gaps = self.gaps(frame, tracks)
         return self._writer.command(frame.timestamp_ns, gaps, self._dips)
 
@@ -320,6 +330,8 @@ def policy_class(name: str, field: str = "beam.policy") -> type[BeamPolicy]:
     Raises:
         ValueError: If there is none, or it cannot be imported; the message starts with `field`.
     """
+    if not isinstance(name, str):
+        raise ValueError(f"{field}: expected the name of a policy, got {shortened(name)}")
     return find(field, name, POLICIES, "foreglow.policies")
 
 
@@ -327,8 +339,10 @@ def make_policy(config: BeamConfig, headlamps: Headlamps) -> BeamPolicy:
     """The policy that `config.policy` names.
 
     Raises:
-        ValueError: As `policy_class`, or if it cannot be made of these two.
+        ValueError: As `policy_class`, or if it cannot be made of these two, or they are something else.
     """
+    check_kind("config", config, BeamConfig)
+    check_kind("headlamps", headlamps, Headlamps)
     return make(
         "beam.policy", config.policy, POLICIES, "foreglow.policies", config, headlamps, methods=METHODS["policy"]
     )

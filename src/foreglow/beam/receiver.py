@@ -17,6 +17,7 @@ from foreglow.beam.messages import (
     LevelsPart,
     LinkFault,
     MessageError,
+    check_frame,
     decode_part,
     join_levels,
     time_ms,
@@ -24,7 +25,7 @@ from foreglow.beam.messages import (
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS
-from foreglow.types.arrays import checked_time_ns
+from foreglow.types.arrays import check_kind, checked_time_ns
 
 
 class ReceiverConfig(FrozenModel):
@@ -58,7 +59,13 @@ class LampReceiver:
     """
 
     def __init__(self, config: ReceiverConfig | None = None) -> None:
-        """Lamps at low beam."""
+        """Lamps at low beam; without a configuration, with the defaults.
+
+        Raises:
+            ValueError: If the configuration is none.
+        """
+        if config is not None:
+            check_kind("config", config, ReceiverConfig)
         self._config = config or ReceiverConfig()
         self._deadline_ns = round(self._config.deadline_s * 1e9)
         self._latency_ns = round(self._config.latency_s * 1e9)
@@ -82,11 +89,10 @@ class LampReceiver:
         """Takes a frame; frames other than those with levels are ignored.
 
         Raises:
-            ValueError: If the time goes back, or is no whole number of nanoseconds, or the data are no bytes; then
-                nothing changes.
+            ValueError: If the time goes back, or is no whole number of nanoseconds, the identifier is no whole number
+                or the data are no bytes; then nothing changes.
         """
-        if not isinstance(data, bytes | bytearray | memoryview):
-            raise ValueError(f"data: expected bytes, got {type(data).__name__}")
+        frame_id = check_frame(frame_id, data)
         self._advance(arrival_ns)
         if frame_id not in LEVELS_IDS:
             return

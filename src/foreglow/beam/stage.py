@@ -12,8 +12,9 @@ from foreglow.beam.lit_street import ROAD_LIT, LitStreet
 from foreglow.beam.policy import POLICIES, make_policy
 from foreglow.config import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.photometry import read_headlamps
-from foreglow.plugins import built, checked
+from foreglow.plugins import METHODS, built, check_methods, checked
 from foreglow.types import BeamCommand, Frame, Tracks
+from foreglow.types.arrays import check_callables, check_kind
 
 MAX_GAPS = 2000
 """Gaps of a frame: one for each track that it may have."""
@@ -26,9 +27,10 @@ MOST_MIN_DIRECT = 0.5
 class BeamStage:
     """Turns each frame's tracks into a beam command: what the policy wants, as far as the guard allows it.
 
-    A policy of somebody else gets copies: whatever it does to them, the guard judges what the tracker found, and what
-    the guard has passed is what is sent. After low beam, and where the guard alone has dimmed, light returns in
-    `restore_s` as well, if that is longer than the guard's `brightening_s`; so cars that take gaps are told.
+    A policy of somebody else gets copies: whatever it does to them, the guard judges the frame that came and what the
+    tracker found, and what the guard has passed is what is sent. After low beam, and where the guard alone has dimmed,
+    light returns in `restore_s` as well, if that is longer than the guard's `brightening_s`; so cars that take gaps are
+    told.
     """
 
     def __init__(
@@ -50,6 +52,12 @@ class BeamStage:
             FileNotFoundError: If the file that describes the lamps does not exist.
             ValueError: If it is broken, or there is no such policy; the message says what was expected.
         """
+        check_kind("config", config, BeamConfig)
+        check_kind("guard", guard, GuardConfig)
+        if lit_street is not None:
+            check_kind("lit_street", lit_street, LitStreetConfig)
+        if policy is not None:
+            check_methods("policy", policy, METHODS["policy"])
         headlamps = read_headlamps(config.headlamps)
         self._min_direct = min(config.min_direct, MOST_MIN_DIRECT)
         self._policy = built(policy, make_policy, config, headlamps)
@@ -76,10 +84,15 @@ class BeamStage:
             faults: As `pipeline_faults` of `Guard.check`.
 
         Raises:
-            ValueError: If a plug-in returns something that is no command, or more than `MAX_GAPS`.
+            ValueError: If an argument is of another kind, or a plug-in returns something that is no command, or more
+                than `MAX_GAPS`.
         """
-        given = tracks if self._is_ours else copy.deepcopy(tracks)
-        wanted = checked("beam.policy", self._policy.command(frame, given), BeamCommand)
+        check_kind("frame", frame, Frame)
+        check_kind("tracks", tracks, Tracks)
+        if now_ns is not None:
+            check_callables(now_ns=now_ns)
+        given = (frame, tracks) if self._is_ours else (copy.copy(frame), copy.deepcopy(tracks))
+        wanted = checked("beam.policy", self._policy.command(*given), BeamCommand)
         if len(wanted.gaps_rad) > MAX_GAPS:
             raise ValueError(f"beam.policy: expected at most {MAX_GAPS} gaps of a frame, got {len(wanted.gaps_rad)}")
         if self._lit_street.update(frame):
@@ -88,7 +101,7 @@ class BeamStage:
             wanted,
             tracks,
             frame,
-            time_ns=now_ns and now_ns(),
+            time_ns=None if now_ns is None else now_ns(),
             pipeline_faults=faults,
             is_vehicle=lamps_in_sight(tracks, self._min_direct, frame.camera),
         )

@@ -23,6 +23,7 @@ from foreglow.classifier.session import check_whole, model_errors, open_session,
 from foreglow.config import ClassifierConfig
 from foreglow.models import model_path
 from foreglow.types import KINDS, Detections, Frame, Proposals
+from foreglow.types.arrays import check_kind
 from foreglow.types.kinds import kinds_of_direct
 from foreglow.wording import shortened
 
@@ -62,6 +63,7 @@ class OnnxClassifier:
                 training wrote there, or its input or output is not as described above; the message names path, field
                 and expectation.
         """
+        check_kind("config", config, ClassifierConfig)
         if config.model is None:
             raise ValueError("classifier.model: expected the path of an ONNX model, got none")
         self.config = config
@@ -97,6 +99,8 @@ class OnnxClassifier:
         Raises:
             ValueError: If the model cannot be run, or writes anything other than 1, 2 or 5 finite logits per crop.
         """
+        check_kind("frame", frame, Frame)
+        check_kind("proposals", proposals, Proposals)
         threshold = self.config.score_threshold
         num_batches = max(1, MAX_CROPS_BYTES // (self._batch * self.spec.bytes_a_box))
         parts = self._maker.make_parts(frame, proposals, num_batches * self._batch)

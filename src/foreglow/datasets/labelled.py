@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from foreglow.datasets.source import FileSource
 from foreglow.types import Frame
+from foreglow.types.arrays import checked_whole
 
 if TYPE_CHECKING:
     from foreglow.datasets.pvdn.schema import BoxLabels, ImageCategory, ImageRecord, Instance, Sequence, Vehicle
@@ -156,7 +157,13 @@ class LabelledSource(FileSource, ABC):
         return part
 
     def seen_by(self, white_level: int | None) -> Self:
-        """The same images as a pipeline with this `guard.white_level` sees them: for what looks at them without one."""
+        """The same images as a pipeline with this `guard.white_level` sees them: for what looks at them without one.
+
+        Raises:
+            ValueError: If it is no number that `guard.white_level` may be.
+        """
+        if white_level is not None:
+            white_level = checked_whole("white_level", white_level, 1, 65535)
         seen = copy.copy(self)
         seen.white_level = white_level
         seen.skipped = []

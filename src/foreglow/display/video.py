@@ -21,6 +21,7 @@ from foreglow.datasets.source import RESTART_NS
 from foreglow.display.overlay import Picture, annotate
 from foreglow.display.tone import Tone
 from foreglow.files import checked_path
+from foreglow.geometry import checked_number
 from foreglow.types import Frame, FrameResult
 from foreglow.whole_files import naming
 
@@ -108,7 +109,7 @@ class Movie:
         """
         path = checked_path(path)
         rate_hz = DEFAULT_FPS if fps is None else fps
-        if not 0.0 < rate_hz < float("inf"):
+        if not 0.0 < checked_number(f"{path}: fps", rate_hz) < float("inf"):
             raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
         self._path = path
         self._rate = Fraction(min(max(rate_hz, MIN_FPS), MAX_FPS)).limit_denominator(1001)

@@ -12,6 +12,7 @@ from foreglow.distance.interface import RangeEstimator
 from foreglow.distance.psd import PSD2D, PSD3D, PSD3DPlus
 from foreglow.distance.road_surface import RoadSurface
 from foreglow.plugins import METHODS, make
+from foreglow.types.arrays import check_kind
 
 __all__ = [
     "ESTIMATORS",
@@ -40,6 +41,7 @@ def make_estimator(config: DistanceConfig) -> RangeEstimator:
     Raises:
         ValueError: If it names none, or one that cannot be imported or lacks a method.
     """
+    check_kind("config", config, DistanceConfig)
     return make(
         "distance.estimator", config.estimator, ESTIMATORS, "foreglow.estimators", config, methods=METHODS["estimator"]
     )

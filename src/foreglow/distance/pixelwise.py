@@ -13,13 +13,15 @@ from foreglow.distance.pitch import make_pitch_source
 from foreglow.geometry import Floats
 from foreglow.rays import RayCaster, Rays, calibrated
 from foreglow.types import Detections, Frame, Ranges
+from foreglow.types.arrays import check_kind
 
 
 class PixelwiseEstimator(RangeEstimator):
     """An estimator that gives each sampled pixel a range; a heuristic makes them the range of the box."""
 
     def __init__(self, config: DistanceConfig) -> None:
-        """Raises ValueError if there is no source of the pitch that `config` asks for."""
+        """Raises ValueError if the configuration is none, or there is no source of the pitch that `config` asks for."""
+        check_kind("config", config, DistanceConfig)
         self._heuristic = HEURISTICS[config.heuristic]
         self._uses_all_pixels = config.all_pixels and self._heuristic.is_sampled
         self._pitch = make_pitch_source(config.pitch)
@@ -31,6 +33,8 @@ class PixelwiseEstimator(RangeEstimator):
         Raises:
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
         """
+        check_kind("frame", frame, Frame)
+        check_kind("detections", detections, Detections)
         camera = calibrated(frame)
         pitch = self._pitch.pitch(frame)
 

@@ -27,7 +27,7 @@ from foreglow.distance.weighing import Weigher
 from foreglow.geometry import Camera, Floats
 from foreglow.rays import RayCaster, calibrated
 from foreglow.types import Boxes, Detections, Frame, Image, Ranges
-from foreglow.types.arrays import with_adjacent_columns
+from foreglow.types.arrays import check_kind, with_adjacent_columns
 
 CONTRAST_FLOOR = 5.0
 """Grey levels of 255 that are added to a contrast before its logarithm."""
@@ -82,6 +82,7 @@ class RoadSurface(RangeEstimator):
             FileNotFoundError: If the configured model does not exist.
             ValueError: If it is broken, or there is no source of the pitch that `config` asks for.
         """
+        check_kind("config", config, DistanceConfig)
         self.model = read_hypotheses(config.model)
         self._weigher = Weigher(parameters_of(self.model))
         self._pitch = make_pitch_source(config.pitch)
@@ -97,6 +98,8 @@ class RoadSurface(RangeEstimator):
         Raises:
             ValueError: If the frame has no camera, or one whose distortion cannot be undone.
         """
+        check_kind("frame", frame, Frame)
+        check_kind("detections", detections, Detections)
         view = self.view(frame, detections)
         if len(detections) == 0:
             return Ranges(detections, np.zeros(0), np.zeros(0))

@@ -14,6 +14,7 @@ from foreglow.proposals.reference import ReferenceProposer
 from foreglow.proposals.resizing import ResizingProposer
 from foreglow.proposals.standing import StandingLight
 from foreglow.types import Image, Proposals
+from foreglow.types.arrays import check_kind
 
 __all__ = [
     "BACKENDS",
@@ -45,6 +46,11 @@ BACKENDS: dict[str, type[NativeProposer] | type[ReferenceProposer]] = {
 
 
 def make_proposer(config: ProposalConfig) -> Proposer:
-    """The back end that `config.backend` names, ready to use; on resized frames where `config` asks for a size."""
+    """The back end that `config.backend` names, ready to use; on resized frames where `config` asks for a size.
+
+    Raises:
+        ValueError: If the configuration is none.
+    """
+    check_kind("config", config, ProposalConfig)
     back_end = BACKENDS[config.backend]
     return back_end(config) if config.working_size_px is None else ResizingProposer(config, back_end)

@@ -24,7 +24,7 @@ from foreglow.runs.frame_line import Box, FrameLine, check_per_box
 from foreglow.runs.frames_file import own_threshold, read_frame_lines
 from foreglow.runs.json_lines import Whole, checked, no_run_file
 from foreglow.types import LIGHT_KINDS
-from foreglow.types.arrays import check_kind, check_numbers
+from foreglow.types.arrays import check_kind, check_numbers, checked_time_ns
 from foreglow.whole_files import write_atomic
 from foreglow.wording import shortened
 
@@ -55,7 +55,7 @@ class Predictions:
     times_ns: Mapping[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("boxes_xyxy_px", "scores", "direct_probabilities", "light_kinds"):
+        for name in ("boxes_xyxy_px", "scores", "direct_probabilities", "light_kinds", "times_ns"):
             check_kind(f"Predictions.{name}", getattr(self, name), Mapping)
         if self.boxes_xyxy_px.keys() != self.scores.keys():
             raise ValueError("Predictions.scores: expected the same images as boxes_xyxy_px")
@@ -69,6 +69,9 @@ class Predictions:
             _check_scores(scores, f"{name}: ")
         if not isinstance(self.is_scored, bool | np.bool_):
             raise ValueError(f"Predictions.is_scored: expected True or False, got {shortened(self.is_scored)}")
+        check_image_ids("Predictions.times_ns", self.times_ns)
+        for image_id, time_ns in self.times_ns.items():
+            checked_time_ns(f"Predictions.times_ns: image {image_id}", time_ns)
         for image_id in self.direct_probabilities:
             self._check_beside("direct_probabilities", image_id, ())
         for image_id in self.light_kinds:
@@ -299,13 +302,15 @@ def _as_kinds(rows: Sequence[Sequence[float] | None]) -> NDArray[np.float64]:
     return np.array([unknown if row is None else row for row in rows]).reshape(-1, len(LIGHT_KINDS))
 
 
-def write_predictions(path: Path, predictions: Predictions) -> None:
+def write_predictions(path: Path | str, predictions: Predictions) -> None:
     """Writes `predictions` in the published form, whole or not at all; `read_predictions` reads them back equal.
 
     Raises:
-        ValueError: If a number is not finite.
+        ValueError: If a number is not finite, or an argument is of another kind.
         OSError: If the file cannot be written.
     """
+    path = checked_path(path)
+    check_kind("predictions", predictions, Predictions)
     entries: dict[str, ScoredBoxes | list[Box]] = {}
     for image_id, boxes in predictions.boxes_xyxy_px.items():
         its_boxes, its_scores = boxes.tolist(), predictions.scores[image_id].tolist()

@@ -65,9 +65,11 @@ class CanLogSink:
         path = checked_path(path)
         import can
 
-        kind = (path.suffix if suffix is None else suffix).lower()
-        if kind not in LOG_SUFFIXES:
-            raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {kind!r}")
+        kind = path.suffix.lower() if suffix is None else suffix
+        if isinstance(kind, str) and kind.lower() in LOG_SUFFIXES:
+            kind = kind.lower()
+        else:
+            raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {kind!r:.80}")
         self._path = path
         self._axis, self._has_frames = TimeAxis(), False
         self._encoder = CommandEncoder(ramp_s, has_levels=has_levels)
@@ -200,6 +202,8 @@ def open_bus(channel: str, ids: Collection[CanKey] = ()) -> LastingBus:
     """
     import can
 
+    if not isinstance(channel, str) or not channel:
+        raise ValueError(f"channel: expected the name of a bus, such as can0 or virtual:name, got {channel!r:.80}")
     try:
         return LastingBus(channel, ids)
     except can.CanInterfaceNotImplementedError as error:

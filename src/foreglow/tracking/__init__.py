@@ -10,6 +10,7 @@ from foreglow.plugins import METHODS, make
 from foreglow.tracking.interface import Tracker
 from foreglow.tracking.published import PublishedTracker
 from foreglow.tracking.tracker import AlphaBetaTracker
+from foreglow.types.arrays import check_kind
 
 __all__ = ["TRACKERS", "AlphaBetaTracker", "PublishedTracker", "Tracker", "make_tracker"]
 
@@ -25,4 +26,5 @@ def make_tracker(config: TrackerConfig) -> Tracker:
     Raises:
         ValueError: If it names none, or one that cannot be imported or lacks a method.
     """
+    check_kind("config", config, TrackerConfig)
     return make("tracker.method", config.method, TRACKERS, "foreglow.trackers", config, methods=METHODS["tracker"])

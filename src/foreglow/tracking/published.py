@@ -16,6 +16,7 @@ import numpy as np
 from foreglow.config import TrackerConfig
 from foreglow.tracking.interface import Tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
+from foreglow.types.arrays import check_kind
 
 Box: TypeAlias = tuple[float, float, float, float]
 """Either x1, y1, x2, y2 or centre x, y, width, height, pixels."""
@@ -80,6 +81,7 @@ class PublishedTracker(Tracker):
     """
 
     def __init__(self, config: TrackerConfig) -> None:
+        check_kind("config", config, TrackerConfig)
         self._config = config
         self.reset()
 
@@ -110,6 +112,10 @@ class PublishedTracker(Tracker):
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         """The tracks after `frame`."""
+        check_kind("frame", frame, Frame)
+        check_kind("detections", detections, Detections)
+        if ranges is not None:
+            check_kind("ranges", ranges, Ranges)
         boxes, scores = detections.boxes_xyxy_px.astype(np.float64).tolist(), detections.scores.tolist()
         distances_m = [math.nan] * len(boxes) if ranges is None else ranges.ranges_m.tolist()
         sightings = [

@@ -34,6 +34,7 @@ from foreglow.tracking.track_range import (
 )
 from foreglow.tracking.vehicles import VehicleGroups
 from foreglow.types import MIN_STEP_S, Detections, Frame, Ranges, Tracks, TrackState, Vehicles
+from foreglow.types.arrays import check_kind
 from foreglow.types.kinds import direct_of_kinds
 
 MIN_SIZE_PX = 1.0
@@ -54,6 +55,7 @@ class AlphaBetaTracker(Tracker):
     """
 
     def __init__(self, config: TrackerConfig) -> None:
+        check_kind("config", config, TrackerConfig)
         self._config = config
         self._alphas = np.repeat([config.alpha_centre, config.alpha_size, config.alpha_range], [2, 2, 1])
         self._assign = ASSOCIATIONS[config.association]
@@ -80,6 +82,10 @@ class AlphaBetaTracker(Tracker):
 
     def update(self, frame: Frame, detections: Detections, ranges: Ranges | None) -> Tracks:
         """The tracks after `frame`; of the frame only its time, size, camera and motion are used."""
+        check_kind("frame", frame, Frame)
+        check_kind("detections", detections, Detections)
+        if ranges is not None:
+            check_kind("ranges", ranges, Ranges)
         if self._is_again(frame, detections):
             return self._tracks
         step_s = self._step_s(frame)

@@ -36,7 +36,7 @@ from foreglow.datasets.vehicle_data import equip
 from foreglow.files import check_is_folder, checked_path
 from foreglow.types import Frame
 from foreglow.types.white import full_scale
-from foreglow.wording import shortened
+from foreglow.wording import check_one_of, shortened
 
 PVDN_RATE_HZ = 18.0
 """Frames a second within one exposure cycle. Source: Ohnemus et al., arXiv 2012.15376."""
@@ -61,6 +61,9 @@ class Selection:
         road_types: Road of the sequence.
         categories: At least one category of the image is among these; an image without a category counts as NONE.
         has_keypoints: Whether the image has at least one instance in its keypoint file; reads those files.
+
+    Raises:
+        ValueError: If a field is of another kind.
     """
 
     scenes: Collection[int | str] | None = None
@@ -70,6 +73,24 @@ class Selection:
     road_types: Collection[RoadType] | None = None
     categories: Collection[ImageCategory] | None = None
     has_keypoints: bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("scenes", "weathers", "lightings", "road_types", "categories"):
+            chosen = getattr(self, name)
+            if chosen is None:
+                continue
+            kinds = (int, np.integer, str) if name == "scenes" else (int, np.integer)
+            if isinstance(chosen, str) or not isinstance(chosen, Collection):
+                raise ValueError(f"Selection.{name}: expected a list or a set, got {shortened(chosen)}")
+            if not all(isinstance(each, kinds) for each in chosen):
+                expected = "numbers or names of sequences" if name == "scenes" else "members of its enumeration"
+                raise ValueError(f"Selection.{name}: expected {expected}, got {shortened([*chosen])}")
+        if self.cycle is not None:
+            check_one_of(self.cycle, Cycle, "Selection.cycle")
+        if not isinstance(self.has_keypoints, bool | None):
+            raise ValueError(
+                f"Selection.has_keypoints: expected a truth value or None, got {shortened(self.has_keypoints)}"
+            )
 
 
 class PVDN(LabelledSource):

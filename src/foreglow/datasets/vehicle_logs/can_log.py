@@ -18,6 +18,7 @@ from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal, Sec
 from foreglow.datasets.vehicle_logs.quantities import FACTORS, factor_of, has_both_signs, known_values
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
 from foreglow.files import MIB, checked_path, read_text
+from foreglow.geometry import checked_number
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 from foreglow.wording import shortened
@@ -98,7 +99,7 @@ class CanLog:
 
     def __init__(self, keep_s: float = math.inf) -> None:
         """An empty log, which drops values that are older than the last by more than `keep_s`."""
-        self._keep_ns = keep_s * 1e9
+        self._keep_ns = 1e9 * checked_number("keep_s", keep_s)
         self._streets = Latest[StreetMessage | None](STREET_STALE_S)
         self._numbers = {name: Latest[float](MOTION_STALE_S) for name in ("speed", "yaw_rate", "production")}
         self._lock = threading.Lock()

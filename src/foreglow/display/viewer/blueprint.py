@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import rerun as rr
 import rerun.blueprint as rrb
 
 from foreglow.display.overlay import CAPTION_GROUND_BGR
+from foreglow.geometry import checked_number
 
 GROUND_RGB = CAPTION_GROUND_BGR[::-1]
 
@@ -32,9 +35,14 @@ def blueprint(*, has_lux: bool, window_s: float | None = None) -> rrb.Blueprint:
     Args:
         has_lux: Whether light at other drivers' eyes is known.
         window_s: The plots show so much of the latest time; None, for recordings, shows all of it.
+
+    Raises:
+        ValueError: If the time is no positive number.
     """
     ranges = None
     if window_s is not None:
+        if not 0 < checked_number("window_s", window_s) < math.inf:
+            raise ValueError(f"window_s: expected a positive number of seconds or None, got {window_s}")
         start, end = rr.TimeRangeBoundary.cursor_relative(seconds=-window_s), rr.TimeRangeBoundary.cursor_relative()
         ranges = [rrb.VisibleTimeRange(TIMELINE, start=start, end=end)]
     plots = [

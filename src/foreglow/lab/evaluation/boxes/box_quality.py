@@ -222,7 +222,7 @@ def annotation_quality(split: Path | str) -> BoxQuality:
         FileNotFoundError: If the split or one of its label files is missing.
         ValueError: If one of them is broken.
     """
-    dataset = open_labelled(split)
+    dataset = open_labelled(checked_path(split, "split"))
     boxes: dict[int, NDArray[np.float64]] = {}
     labels: dict[int, NDArray[np.float64]] = {}
     for image_id in dataset.frame_ids:

@@ -17,6 +17,7 @@ from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageRecord
 from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.files import fields_to_json
+from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
 from foreglow.lab.evaluation.boxes.lights import (
     NUM_STRONGEST,
@@ -30,6 +31,7 @@ from foreglow.lab.evaluation.boxes.lights import (
 from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
 from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.runs.predictions import Predictions
+from foreglow.types.arrays import check_kind
 
 RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
 """Bins of the distance to the vehicle, metres; the lower edge belongs to a bin."""
@@ -217,8 +219,9 @@ def read_split_labels(dataset: LabelledSource, *, with_shares: bool = False) -> 
     Raises:
         FileNotFoundError: If a label file is missing.
         ModuleNotFoundError: If there are shares to read, and the extra `parquet` is not installed.
-        ValueError: If a file is broken.
+        ValueError: If a file is broken, or there is no data set.
     """
+    check_kind("dataset", dataset, LabelledSource)
     ids = dataset.frame_ids
     sequence_of = {image_id: dataset.sequence(image_id).id for image_id in ids}
     scenario_of: dict[int, str] = {}
@@ -292,7 +295,12 @@ def num_twins(vehicles: Iterable[Vehicle]) -> int:
 
 
 def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
-    """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box."""
+    """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box.
+
+    Raises:
+        ValueError: If one of the two is something else.
+    """
+    check_kind("labels", labels, SplitLabels)
     matches = match_boxes(labels.keypoints_px, predictions)
     doubtful_px = {image_id: labels.doubtful_px[image_id] for image_id in matches.image_ids}
     is_empty = np.array([image_id in labels.empty_images for image_id in matches.image_ids], np.bool_)
@@ -311,7 +319,14 @@ def break_down(matched: LightMatches, threshold: float, labels: SplitLabels | No
     """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted.
 
     By weather and by scenario only where there are `labels`, those of the split.
+
+    Raises:
+        ValueError: If an argument is of another kind, or the threshold is no number from 0 to 1.
     """
+    check_kind("matched", matched, LightMatches)
+    threshold = checked_share("threshold", threshold)
+    if labels is not None:
+        check_kind("labels", labels, SplitLabels)
     matches = matched.matches
     is_found = matched.best_scores > threshold
     is_false = (matches.scores > threshold) & matched.is_false

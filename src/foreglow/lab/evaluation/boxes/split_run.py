@@ -13,6 +13,7 @@ from foreglow.datasets import LabelledSource
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
 from foreglow.types import Frame, FrameResult
+from foreglow.types.arrays import check_kind
 
 Progress: TypeAlias = Callable[[Frame, FrameResult], None]
 """Called after each frame; a result sink's `write` is one."""
@@ -69,8 +70,10 @@ def run_split(dataset: LabelledSource, pipeline: Pipeline, progress: Progress | 
 
     Raises:
         FileNotFoundError: If an image is missing.
-        ValueError: If an image is broken, or the model does not fit.
+        ValueError: If an image is broken, the model does not fit, or there is no data set or no pipeline.
     """
+    check_kind("dataset", dataset, LabelledSource)
+    check_kind("pipeline", pipeline, Pipeline)
     return run_variants(dataset, {"": (pipeline, lambda frame: frame)}, progress)[""]
 
 
