@@ -74,7 +74,9 @@ class _Held(NamedTuple):
 class SteadyBeam(BeamPolicy):
     """What the beams that never change have in common: they need to know how many LEDs a lamp has, and nothing else."""
 
-    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:  # noqa: ARG002
+    def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        check_kind("config", config, BeamConfig)
+        check_kind("headlamps", headlamps, Headlamps)
         self._num_leds = headlamps.num_leds
 
 
@@ -108,6 +110,8 @@ class PaperPolicy(BeamPolicy):
     """
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        check_kind("config", config, BeamConfig)
+        check_kind("headlamps", headlamps, Headlamps)
         self._margin_rad = math.radians(config.margin_deg)
         self._bearings = Bearings()
         self._writer = GapWriter(config, headlamps)
@@ -156,6 +160,8 @@ class ForeglowPolicy(BeamPolicy):
     """
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
+        check_kind("config", config, BeamConfig)
+        check_kind("headlamps", headlamps, Headlamps)
         self._config = config
         self._margin_rad = math.radians(config.margin_deg)
         self._hold_ns = round(config.hold_s * 1e9)

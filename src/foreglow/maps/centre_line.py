@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from foreglow.geometry import Floats, Pose
+from foreglow.geometry import Floats, Pose, checked_floats, checked_number
 from foreglow.types import RoadAhead
 
 MAX_OFFSET_M = 20.0
@@ -80,16 +80,20 @@ class CentreLine:
     cross_slopes: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        points = np.array(self.points_m, np.float64)
+        points = checked_floats("CentreLine.points_m", self.points_m)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise ValueError(f"CentreLine.points_m: expected shape (N, 3) with N >= 2, got {points.shape}")
         if not np.isfinite(points).all():
             raise ValueError("CentreLine.points_m: expected finite numbers, got NaN or infinity")
         if not np.diff(points[:, :2], axis=0).any(axis=1).all():
             raise ValueError("CentreLine.points_m: expected neighbours that differ horizontally")
-        if not (math.isfinite(self.half_width_m) and self.half_width_m > 0):
+        if not (math.isfinite(checked_number("CentreLine.half_width_m", self.half_width_m)) and self.half_width_m > 0):
             raise ValueError(f"CentreLine.half_width_m: expected a positive number, got {self.half_width_m}")
-        slopes = np.array(self.cross_slopes, np.float64) if np.size(self.cross_slopes) else np.zeros(len(points))
+        slopes = (
+            checked_floats("CentreLine.cross_slopes", self.cross_slopes)
+            if np.size(self.cross_slopes)
+            else np.zeros(len(points))
+        )
         if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
             raise ValueError(f"CentreLine.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
         object.__setattr__(self, "points_m", points)

@@ -12,6 +12,7 @@ from foreglow.geometry import Floats, Pose
 from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine, Foot
 from foreglow.maps.geographic import GeographicOrigin
 from foreglow.types import RoadAhead
+from foreglow.types.arrays import check_kind
 
 JOIN_M = 2.5
 """Ends of two lines that are this near are joined: through a junction a map may have single lanes, whose middle is half
@@ -37,10 +38,13 @@ class RoadMap:
         """Takes the roads.
 
         Raises:
-            ValueError: If there is none.
+            ValueError: If there is none, or something else.
         """
+        check_kind("RoadMap.lines", lines, Sequence)
         if not lines:
             raise ValueError("RoadMap.lines: expected at least one road, got none")
+        for line in lines:
+            check_kind("RoadMap.lines", line, CentreLine)
         self.lines = tuple(lines)
         self.origin = origin
         self.has_heights = has_heights

@@ -5,7 +5,7 @@ from __future__ import annotations
 import foreglow._native as _native
 from foreglow.config import ProposalConfig
 from foreglow.types import Image, Proposals
-from foreglow.types.arrays import with_adjacent_columns
+from foreglow.types.arrays import check_image, check_kind, with_adjacent_columns
 
 
 class NativeProposer:
@@ -15,6 +15,7 @@ class NativeProposer:
     """
 
     def __init__(self, config: ProposalConfig) -> None:
+        check_kind("config", config, ProposalConfig)
         self.config = config
         parameters = config.model_dump(exclude={"backend", "dispatch", "working_size_px"})
         self._generator = _native.ProposalGenerator(parameters, config.dispatch)
@@ -33,6 +34,7 @@ class NativeProposer:
         """The proposals of `image`: shape (height, width), uint8 or uint16, any strides.
 
         Raises:
-            ValueError: If the configured region lies outside the image.
+            ValueError: If there is no such image, or the configured region lies outside it.
         """
+        check_image("image", image)
         return Proposals(self._generator.propose(with_adjacent_columns(image)))

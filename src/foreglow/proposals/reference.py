@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from foreglow.config import ProposalConfig
 from foreglow.proposals.splitting import SplitRule, light_levels, split_blob
 from foreglow.types import Image, Proposals
+from foreglow.types.arrays import check_image, check_kind
 
 ROUNDING = 1e-10
 """Difference that counts as equal, in units of the dynamic range. Where a flat patch equals its own mean, sums in
@@ -100,14 +101,16 @@ class ReferenceProposer:
     """The proposal stage written as its equations; about a hundred times slower than the native back end."""
 
     def __init__(self, config: ProposalConfig) -> None:
+        check_kind("config", config, ProposalConfig)
         self.config = config
 
     def propose(self, image: Image) -> Proposals:
         """The proposals of `image`: shape (height, width), uint8 or uint16, any strides.
 
         Raises:
-            ValueError: If the configured region lies outside the image.
+            ValueError: If there is no such image, or the configured region lies outside it.
         """
+        check_image("image", image)
         config = self.config
         x_offset_px, y_offset_px, _ = cut_region(image, config)
         reduction = working_sizes(config, image.shape[1]).reduction

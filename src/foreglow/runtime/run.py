@@ -161,6 +161,11 @@ def run(
     if folder is not None:
         check_kind("folder", folder, OutputFolder)
     check_kind("sinks", sinks, Iterable)
+    check_kind("source_name", source_name, str)
+    if origin is not None:
+        check_kind("origin", origin, RunSummary)
+    if among is not None:
+        check_kind("among", among, Collection)
     tally, name = Tally(pipeline.config), source_name or origin_name(source)
     all_sinks: list[ResultSink] = []
     with folder or contextlib.nullcontext(), discarding(all_sinks):

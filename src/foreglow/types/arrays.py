@@ -110,6 +110,17 @@ def check_numbers(field: str, array: object, shape: tuple[int | None, ...]) -> N
     raise ValueError(f"{field}: expected numbers of shape {_shape_words(shape)}, got {_array_words(array)}")
 
 
+def check_image(field: str, image: object) -> None:
+    """Checks that `image` is a grey one: shape (height, width), uint8 or uint16, of at least a pixel.
+
+    Raises:
+        ValueError: If it is not; the message begins with `field`.
+    """
+    is_grey = isinstance(image, np.ndarray) and image.ndim == 2 and image.dtype in (np.uint8, np.uint16)
+    if not is_grey or not np.size(cast("Any", image)):
+        raise ValueError(f"{field}: expected uint8 or uint16 of shape (height, width), got {_array_words(image)}")
+
+
 def check_kind(field: str, value: object, kind: type) -> None:
     """Checks that `value` is of the class `kind`.
 

@@ -248,6 +248,9 @@ def write_split(
     """
     check_kind("dataset", dataset, LabelledSource)
     root = checked_path(root, "root")
+    check_kind("origins", origins, Sequence)
+    for origin in origins:
+        check_kind("origins", origin, Origin)
     with FolderLock(root):
         check_new_split(root)
         hidden = root / _HIDDEN

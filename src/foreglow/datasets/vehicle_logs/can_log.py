@@ -99,7 +99,9 @@ class CanLog:
 
     def __init__(self, keep_s: float = math.inf) -> None:
         """An empty log, which drops values that are older than the last by more than `keep_s`."""
-        self._keep_ns = 1e9 * checked_number("keep_s", keep_s)
+        if not checked_number("keep_s", keep_s) >= 0:
+            raise ValueError(f"keep_s: expected a number of seconds of at least 0, got {keep_s}")
+        self._keep_ns = 1e9 * keep_s
         self._streets = Latest[StreetMessage | None](STREET_STALE_S)
         self._numbers = {name: Latest[float](MOTION_STALE_S) for name in ("speed", "yaw_rate", "production")}
         self._lock = threading.Lock()

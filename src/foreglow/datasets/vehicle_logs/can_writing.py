@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from foreglow.datasets.vehicle_logs.can_log import OWN_DBC, OWN_MAPPING, read_dbc, read_mapping
 from foreglow.datasets.vehicle_logs.log_frames import LOG_SUFFIXES
@@ -13,10 +13,14 @@ from foreglow.datasets.vehicle_logs.street_frames import position_values, segmen
 from foreglow.files import checked_path
 from foreglow.street import NUM_SEGMENT_IDS, StreetMessage
 from foreglow.types import EgoMotion
+from foreglow.types.arrays import check_kind, checked_time_ns
 from foreglow.whole_files import write_atomic
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     import can
+
+Sent = TypeVar("Sent")
 
 FIRST_DATE_S = 631_152_000
 """The first of January 1990; python-can takes earlier times for no dates."""
@@ -48,6 +52,7 @@ def write_can_log(
     path = checked_path(path)
     if path.suffix.lower() not in LOG_SUFFIXES:
         raise ValueError(f"{path}: expected a CAN log that ends in {', '.join(LOG_SUFFIXES)}, got {path.suffix!r}")
+    streets, motions = _timed("streets", streets, StreetMessage), _timed("motions", motions, EgoMotion)
     frames = _Encoder().frames(streets, motions)
     ordered = sorted(frames, key=lambda frame: frame.timestamp)
     if not ordered:
@@ -75,6 +80,17 @@ def keep_times(log: Any, first_s: float) -> None:
 
     if isinstance(log, can.BLFWriter) and 0 <= first_s < FIRST_DATE_S:
         log.start_timestamp = 0.0
+
+
+def _timed(field: str, values: object, kind: type[Sent]) -> tuple[tuple[int, Sent], ...]:
+    """What is sent, each with its time; ValueError if it is something else."""
+    check_kind(field, values, Iterable)
+    given: tuple[Any, ...] = tuple(values)  # type: ignore[arg-type]
+    for pair in given:
+        if not isinstance(pair, tuple | list) or len(pair) != 2 or not isinstance(pair[1], kind):
+            raise ValueError(f"{field}: expected times, each with a {kind.__name__}, got {shortened(pair)}")
+        checked_time_ns(field, pair[0])
+    return given
 
 
 class _Encoder:

@@ -11,7 +11,7 @@ import numpy as np
 from foreglow.calibration import read_calibration
 from foreglow.datasets.vehicle_data import VehicleData, fitting
 from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
-from foreglow.geometry import Camera
+from foreglow.geometry import Camera, checked_number
 from foreglow.maps import PoseTrack, RoadMap, read_poses, read_road_map
 from foreglow.maps.centre_line import MAX_HEIGHT_OFFSET_M, MIN_ALONG
 from foreglow.street import road_from_message
@@ -191,9 +191,9 @@ def open_vehicle_data(
     if (road_map is None) != (poses is None):
         other = "poses on it" if poses is None else "a map with them"
         raise ValueError(f"{road_map or poses}: expected {other}, got none")
-    if not math.isfinite(time_offset_s):
+    if not math.isfinite(checked_number("time offset", time_offset_s)):
         raise ValueError(f"time offset: expected a finite number of seconds, got {time_offset_s}")
-    if not pose_error_m >= 0:
+    if not checked_number("pose error", pose_error_m) >= 0:
         raise ValueError(f"pose error: expected a number of metres of at least 0, got {pose_error_m}")
     roads = None if road_map is None else read_road_map(road_map)
     track = None if poses is None or roads is None else read_poses(poses, roads.origin)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -18,8 +19,10 @@ from foreglow.datasets import VehicleData, to_grey
 from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chroma
 from foreglow.datasets.vehicle_data import equip
 from foreglow.datasets.video.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
+from foreglow.geometry import checked_number
 from foreglow.types import Frame, Image
-from foreglow.wording import without_password
+from foreglow.types.arrays import checked_whole
+from foreglow.wording import shortened, without_password
 
 OPEN_S, READ_S = 5.0, 1.0
 """Longest time that a network stream may take to open, and to deliver its next packet."""
@@ -51,6 +54,9 @@ class CameraOptions:
         data: The car's own data for each frame, with a camera no log or poses of an earlier drive; None without.
         seed: The seed of a simulated drive.
         quality: How finely a simulated drive is rendered.
+
+    Raises:
+        ValueError: If size, rate or delay is none that a camera can have.
     """
 
     size_px: tuple[int, int] | None = None
@@ -59,6 +65,17 @@ class CameraOptions:
     data: VehicleData | None = None
     seed: int = 0
     quality: str = "training"
+
+    def __post_init__(self) -> None:
+        if self.size_px is not None:
+            if not isinstance(self.size_px, tuple) or len(self.size_px) != 2:
+                raise ValueError(f"size_px: expected width and height, got {shortened(self.size_px)}")
+            for side in self.size_px:
+                checked_whole("size_px", side, 1)
+        if self.rate_hz is not None and not 0 < checked_number("rate_hz", self.rate_hz) < math.inf:
+            raise ValueError(f"rate_hz: expected a positive number or None, got {self.rate_hz}")
+        if not math.isfinite(checked_number("delay_s", self.delay_s)):
+            raise ValueError(f"delay_s: expected a finite number of seconds, got {self.delay_s}")
 
 
 class LiveCamera(ABC):

@@ -138,6 +138,7 @@ class RecordingFile:
         path = checked_path(path)
         if config is not None:
             check_kind("config", config, PipelineConfig)
+        check_kind("source_name", source_name, str)
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")
         check_replaceable(path)
