@@ -1,4 +1,4 @@
-"""Public functions refuse an argument of another kind by its name: nothing of Python's or NumPy's own reaches a user."""
+"""Public functions refuse an argument of another kind by its name; no error of Python's or NumPy's own."""
 
 from __future__ import annotations
 
