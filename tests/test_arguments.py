@@ -17,7 +17,7 @@ from foreglow.beam.messages import CommandEncoder, decode_gaps, decode_levels, d
 from foreglow.beam.receiver import LampReceiver
 from foreglow.classifier import OnnxClassifier
 from foreglow.config import BeamConfig, GuardConfig, preset
-from foreglow.datasets import Equipped, ImageFolder, PVDNWriter, Selection, open_labelled, shipped_drive
+from foreglow.datasets import Equipped, ImageFolder, PVDNWriter, Selection, open_labelled, part_of, shipped_drive
 from foreglow.datasets.exchange import labels_of, read_labels_file, write_labels_file
 from foreglow.datasets.simulated import read_truth
 from foreglow.datasets.vehicle_logs import open_vehicle_data, read_can_log, write_can_log
@@ -129,6 +129,8 @@ CALLS: dict[str, tuple[str, Call, str]] = {
     "fps": ("fps", lambda wrong: Movie("movie.mp4", wrong), "none"),
     "images": ("path", ImageFolder, ""),
     "labels": ("path", read_labels_file, ""),
+    "part": ("name", lambda wrong: part_of(ListSource(FRAMES), "x" if np.ndim(wrong) else wrong), ""),
+    "sequence": ("directory", lambda wrong: part_of(open_labelled(SHIPPED), wrong), ""),
     "data set": ("dataset", labels_of, ""),
     "labels to write": ("labels", lambda wrong: write_labels_file("labels.json", wrong, "coco"), ""),
     "truth": ("root", read_truth, ""),

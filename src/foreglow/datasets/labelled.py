@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from foreglow.datasets.source import FileSource
 from foreglow.types import Frame
 from foreglow.types.arrays import checked_whole
+from foreglow.wording import shortened
 
 if TYPE_CHECKING:
     from foreglow.datasets.pvdn.schema import BoxLabels, ImageCategory, ImageRecord, Instance, Sequence, Vehicle
@@ -146,7 +147,13 @@ class LabelledSource(FileSource, ABC):
         return self.rate_hz if 0.999 < found / self.rate_hz < 1.02 else found  # times may be whole milliseconds
 
     def only(self, directory: str) -> Self:
-        """The selected images of one sequence, by its folder; the labels are shared."""
+        """The selected images of one sequence, by its folder; the labels are shared.
+
+        Raises:
+            ValueError: If there is no such sequence.
+        """
+        if not isinstance(directory, str) or directory not in {each.directory for each in self.sequences}:
+            raise ValueError(f"{self.name}: directory: expected that of a sequence, got {shortened(directory)}")
         return self.with_images({id_ for id_ in self.frame_ids if self.sequence(id_).directory == directory})
 
     def with_images(self, image_ids: Collection[int]) -> Self:

@@ -12,6 +12,7 @@ from foreglow.datasets.source import FileSource, FrameSource, check_source
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
 from foreglow.types.arrays import check_members
+from foreglow.wording import shortened
 
 
 class VehicleData(Protocol):
@@ -219,7 +220,16 @@ def part_names(source: FrameSource) -> tuple[str, ...]:
 
 
 def part_of(source: FrameSource, name: str) -> FrameSource:
-    """The frames of the sequence that `part_names` calls `name`."""
+    """The frames of the sequence that `part_names` calls `name`.
+
+    Raises:
+        ValueError: If it calls none so.
+    """
     if isinstance(source, Equipped):
         return Equipped(part_of(source.source, name), source.data)
-    return source.only(name) if isinstance(source, LabelledSource) else source
+    if isinstance(source, LabelledSource):
+        return source.only(name)
+    check_source("source", source)
+    if name != "":
+        raise ValueError(f"name: expected none, as {source.name} has no sequences, got {shortened(name)}")
+    return source
