@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from foreglow.lab.evaluation.boxes.matching import Matches
 from foreglow.lab.evaluation.ratios import percentiles, ratios
-from foreglow.types.arrays import check_numbers, checked_whole
 
 Counts: TypeAlias = NDArray[np.float64]
 """Shape (..., 3): tp, fp and fn, of one scene or of many together."""
@@ -112,9 +111,6 @@ def paired_bootstrap(
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapters 8 and 13 (percentile interval).
     """
-    for name, counts in (("counts_a", counts_a), ("counts_b", counts_b)):
-        check_numbers(name, counts, (None, None))
-    num_resamples, seed = checked_whole("num_resamples", num_resamples, 1), checked_whole("seed", seed, 0)
     if counts_a.shape != counts_b.shape or counts_a.ndim != 2 or not len(counts_a):
         raise ValueError(f"counts: expected the same shape (S, C), S >= 1, got {counts_a.shape} and {counts_b.shape}")
 
