@@ -114,7 +114,8 @@ class LedGrid(FrozenModel):
         num_columns: LEDs in a row.
         pitch_deg: Distance between columns.
         row_elevations_deg: Middle of each row, the lowest first.
-        row_peaks_cd: Peak intensity of each row on the axis; to the sides it falls off as a Gaussian.
+        row_peaks_cd: Peak intensity of each row on the lamp's axis, whatever the columns' turn; to the sides it falls
+            off as a Gaussian.
         side_sigma_deg: Standard deviation of that Gaussian.
         everywhere_cd: Constant that is added to the peak of every LED.
         half_width_deg: Angle from the middle of a column at which its light has fallen to 1 / e.
