@@ -13,6 +13,7 @@ import pytest
 from foreglow.calibration import calibration_to_toml, read_calibration, read_intrinsics
 from foreglow.datasets import LabelledImage, PVDNWriter, Sequence
 from foreglow.geometry import Camera, Pose, rotation, rotation_angles_rad
+from foreglow.lab.evaluation import break_down, match_lights
 from foreglow.lab.evaluation.bootstrap import paired_bootstrap, percentile_interval, scene_counts
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.simulation import (
@@ -158,6 +159,8 @@ CASES: dict[str, tuple[str, Callable[[Any], object], list[Any]]] = {
         lambda value: scene_counts(MATCHES, {1: 1}, value),
         [None, "x", 2, math.nan],
     ),
+    "match_lights": ("labels", lambda value: match_lights(value, Predictions({}, {})), NO_VALUE),
+    "break_down": ("matched", lambda value: break_down(value, 0.5), NO_VALUE),
     "paired_bootstrap": (
         "counts_b",
         lambda value: paired_bootstrap(np.ones((3, 3)), value),

@@ -29,7 +29,9 @@ from foreglow.lab.evaluation.boxes.lights import (
 )
 from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
 from foreglow.lab.evaluation.ratios import ratio, share
+from foreglow.numbers import checked_number
 from foreglow.runs.predictions import Predictions
+from foreglow.types.arrays import check_kind
 
 RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
 """Bins of the distance to the vehicle, metres; the lower edge belongs to a bin."""
@@ -292,7 +294,12 @@ def num_twins(vehicles: Iterable[Vehicle]) -> int:
 
 
 def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
-    """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box."""
+    """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box.
+
+    Raises:
+        ValueError: If an argument is of another type.
+    """
+    check_kind("labels", labels, SplitLabels)
     matches = match_boxes(labels.keypoints_px, predictions)
     doubtful_px = {image_id: labels.doubtful_px[image_id] for image_id in matches.image_ids}
     is_empty = np.array([image_id in labels.empty_images for image_id in matches.image_ids], np.bool_)
@@ -311,7 +318,12 @@ def break_down(matched: LightMatches, threshold: float, labels: SplitLabels | No
     """Recall by groups and false boxes, when boxes with a score above `threshold` are accepted.
 
     By weather and by scenario only where there are `labels`, those of the split.
+
+    Raises:
+        ValueError: If an argument is of another type.
     """
+    check_kind("matched", matched, LightMatches)
+    threshold = checked_number("threshold", threshold)
     matches = matched.matches
     is_found = matched.best_scores > threshold
     is_false = (matches.scores > threshold) & matched.is_false
