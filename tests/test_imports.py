@@ -16,7 +16,7 @@ import foreglow
 
 SOURCE = Path(foreglow.__file__).parent
 
-VALUES = {"types", "geometry", "config", "photometry", "rays", "street", "wording"}
+VALUES = {"types", "geometry", "config", "photometry", "rays", "street", "numbers", "wording"}
 STAGES = {"proposals", "classifier", "distance", "tracking", "beam"}
 BASES = {"files", "whole_files", "provenance", "parallel", "plugins", "stopwatch", "own_files"}
 CAR = VALUES | STAGES | BASES | {"calibration", "maps", "_native", "pipeline", "datasets", "runs", "runtime", "display"}
@@ -25,6 +25,7 @@ LAB = {"lab.simulation", "lab.evaluation", "lab.learning", "lab.reports", "lab.s
 ALLOWED: dict[str, set[str]] = {
     "whole_files": set(),
     "wording": set(),
+    "numbers": {"wording"},
     "files": {"whole_files", "wording"},
     "provenance": set(),
     "plugins": set(),
@@ -33,14 +34,14 @@ ALLOWED: dict[str, set[str]] = {
     "models": set(),
     "protobuf": set(),
     "_native": set(),
-    "geometry": {"wording"},
-    "types": {"geometry", "wording"},
+    "geometry": {"numbers", "wording"},
+    "types": {"geometry", "numbers", "wording"},
     "config": {"types", "geometry", "files", "wording"},
-    "photometry": {"types", "geometry", "config", "files", "wording"},
+    "photometry": {"types", "geometry", "config", "files", "numbers", "wording"},
     "rays": {"types", "geometry"},
     "street": {"types", "geometry", "config"},
     "calibration": {"types", "geometry", "config", "files", "wording"},
-    "maps": {"types", "geometry", "street", "files", "wording"},
+    "maps": {"types", "geometry", "street", "files", "numbers", "wording"},
     **{stage: VALUES | {"models", "_native", "plugins"} for stage in STAGES},
     "classifier": VALUES | {"models", "_native", "files", "own_files", "protobuf"},
     "pipeline": VALUES | STAGES | {"plugins", "stopwatch"},

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import foreglow
-from foreglow.geometry import Pose, checked_number
+from foreglow.geometry import Pose
+from foreglow.numbers import checked_number
 from foreglow.pipeline import Pipeline
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks, Vehicles
 from tests.beam.made_up import CAMERA

@@ -10,7 +10,6 @@ A rotation `world_from_vehicle` has the vehicle's forward, left and up as column
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -18,6 +17,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foreglow.numbers import checked_floats, checked_number, checked_points, checked_whole
 from foreglow.wording import shortened
 
 Floats = NDArray[np.float64]
@@ -57,63 +57,17 @@ NUM_CHECKED_NODES = 33
 """Pixels a side, corners included, at which the distortion of a calibration is undone when it is read."""
 
 
-def checked_floats(field: str, values: object) -> Floats:
-    """A copy of `values`, a number or numbers of any shape, as float64.
-
-    Raises:
-        ValueError: If they are something else; the message begins with `field`.
-
-    >>> checked_floats("Pose.position_m", {})
-    Traceback (most recent call last):
-    ValueError: Pose.position_m: expected numbers, got {}
-    """
-    with contextlib.suppress(ValueError):  # lists of several lengths
-        array = np.array(values)
-        if array.dtype.kind in "biuf" and not np.ma.is_masked(values):
-            return array.astype(np.float64)
-    raise ValueError(f"{field}: expected numbers, got {shortened(values)}")
-
-
-def checked_number(field: str, value: object) -> float:
-    """`value`, perhaps NaN or infinite, as a plain number.
-
-    Raises:
-        ValueError: If it is no number, or one that a float cannot hold; the message begins with `field`.
-
-    >>> checked_number("EgoMotion.speed_mps", "fast")
-    Traceback (most recent call last):
-    ValueError: EgoMotion.speed_mps: expected a number, got 'fast'
-    """
-    if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
-        with contextlib.suppress(OverflowError):
-            return float(value)
-    raise ValueError(f"{field}: expected a number, got {shortened(value)}")
-
-
-def checked_share(field: str, value: object) -> float:
-    """A number from 0 to 1, such as a threshold of scores, as a plain one.
-
-    Raises:
-        ValueError: If it is another one, or none; the message begins with `field`.
-
-    >>> checked_share("threshold", 2)
-    Traceback (most recent call last):
-    ValueError: threshold: expected a number from 0 to 1, got 2
-    """
-    number = math.nan
-    with contextlib.suppress(ValueError):
-        number = checked_number(field, value)
-    if not 0.0 <= number <= 1.0:
-        raise ValueError(f"{field}: expected a number from 0 to 1, got {shortened(value)}")
-    return number
-
-
 def rotation(yaw_rad: float = 0.0, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
     """Rotation dst_from_body, shape (3, 3): yaw to the left about z, then pitch upwards, then roll to the right.
+
+    Raises:
+        ValueError: If an angle is no number.
 
     >>> bool(rotation(pitch_rad=0.1)[2, 0] > 0)  # the nose goes up
     True
     """
+    yaw_rad, pitch_rad = checked_number("yaw_rad", yaw_rad), checked_number("pitch_rad", pitch_rad)
+    roll_rad = checked_number("roll_rad", roll_rad)
     cy, sy, cp, sp = np.cos(yaw_rad), np.sin(yaw_rad), np.cos(pitch_rad), np.sin(pitch_rad)
     cr, sr = np.cos(roll_rad), np.sin(roll_rad)
     about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
@@ -128,7 +82,9 @@ def rotation_angles_rad(turned: ArrayLike) -> tuple[float, float, float]:
     >>> np.allclose(rotation_angles_rad(rotation(2.0, -0.3, 0.1)), (2.0, -0.3, 0.1))
     True
     """
-    matrix = np.asarray(turned, np.float64)
+    matrix = checked_points("turned", turned, 3)
+    if matrix.shape != (3, 3):
+        raise ValueError(f"turned: expected numbers of shape (3, 3), got shape {matrix.shape}")
     forward = float(np.hypot(matrix[0, 0], matrix[1, 0]))
     pitch = float(np.arctan2(matrix[2, 0], forward))
     if forward < 1e-9:  # yaw and roll turn about the same axis
@@ -168,14 +124,20 @@ class Pose:
 
     def to_outer(self, points_body: ArrayLike) -> Floats:
         """Points of shape (..., 3) in the body's frame, transformed to the outer frame."""
-        return np.asarray(points_body, np.float64) @ self.rotation.T + self.position_m
+        return checked_points("points_body", points_body, 3) @ self.rotation.T + self.position_m
 
     def to_body(self, points_outer: ArrayLike) -> Floats:
         """Points of shape (..., 3) in the outer frame, transformed to the body's frame."""
-        return np.asarray((np.asarray(points_outer, np.float64) - self.position_m) @ self.rotation)
+        return np.asarray((checked_points("points_outer", points_outer, 3) - self.position_m) @ self.rotation)
 
     def __matmul__(self, inner: Pose) -> Pose:
-        """The pose, in this pose's outer frame, of a body whose pose in this body's frame is `inner`."""
+        """The pose, in this pose's outer frame, of a body whose pose in this body's frame is `inner`.
+
+        Raises:
+            ValueError: If `inner` is no pose.
+        """
+        if not isinstance(inner, Pose):
+            raise ValueError(f"inner: expected Pose, got {type(inner).__name__}")
         return Pose(self.to_outer(inner.position_m), self.rotation @ inner.rotation)
 
 
@@ -315,8 +277,9 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("width_px", "height_px"):
-            if not isinstance(getattr(self, name), int | np.integer):
-                raise ValueError(f"Camera.{name}: expected a whole number, got {shortened(getattr(self, name))}")
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool):
+                raise ValueError(f"Camera.{name}: expected a whole number, got {shortened(value)}")
         if not (min(self.width_px, self.height_px) >= 1 and max(self.width_px, self.height_px) <= MAX_IMAGE_SIDE_PX):
             expected = f"expected a size of 1x1 to {MAX_IMAGE_SIDE_PX}x{MAX_IMAGE_SIDE_PX}"
             raise ValueError(f"Camera: {expected}, got {shortened(f'{self.width_px}x{self.height_px}')}")
@@ -340,11 +303,21 @@ class Camera:
             raise ValueError(f"Camera.distortion: expected at most {MAX_DISTORTION:g}, got {self.distortion}")
 
     def has_shape_of(self, width_px: int, height_px: int) -> bool:
-        """Whether an image of this size has the aspect ratio of the camera's, to a pixel, so that it may be scaled."""
+        """Whether an image of this size has the aspect ratio of the camera's, to a pixel, so that it may be scaled.
+
+        Raises:
+            ValueError: If a side is no whole number of at least 1.
+        """
+        width_px, height_px = checked_whole("width_px", width_px, 1), checked_whole("height_px", height_px, 1)
         return abs(self.height_px * width_px / self.width_px - height_px) <= 1.0
 
     def scaled(self, width_px: int, height_px: int) -> Camera:
-        """The same camera with an image of another size and the same field of view."""
+        """The same camera with an image of another size and the same field of view.
+
+        Raises:
+            ValueError: If a side is no whole number of at least 1, or no camera's.
+        """
+        width_px, height_px = checked_whole("width_px", width_px, 1), checked_whole("height_px", height_px, 1)
         fx, fy = width_px / self.width_px, height_px / self.height_px
         return replace(
             self,
@@ -355,25 +328,33 @@ class Camera:
         )
 
     def project(self, points_camera: ArrayLike) -> Floats:
-        """Pixels (x, y), shape (..., 2), of points of shape (..., 3) in the camera's frame; NaN behind the camera.
+        """Pixels (x, y), shape (..., 2), of points of shape (..., 3) in the camera's frame; NaN behind the camera, and
+        for points that are NaN or infinite.
 
         Beyond the field of view, the distortion polynomial may fold back into the image; check the size of the image
         and the angle.
+
+        Raises:
+            ValueError: If they are no numbers of that shape.
         """
-        points = np.asarray(points_camera, np.float64)
+        points = checked_points("points_camera", points_camera, 3)
         forward = np.where(points[..., 0] > 1e-9, points[..., 0], np.nan)
         u, v = self._distorted(-points[..., 1] / forward, -points[..., 2] / forward)
         return np.stack([self.centre_px[0] + self.focal_px[0] * u, self.centre_px[1] + self.focal_px[1] * v], -1)
 
     def rays(self, pixels: ArrayLike) -> Floats:
-        """Unit directions, shape (..., 3), in the camera's frame, through the pixels (x, y) of shape (..., 2).
+        """Unit directions, shape (..., 3), in the camera's frame, through the pixels (x, y) of shape (..., 2);
+        NaN for pixels that are.
+
+        Raises:
+            ValueError: If they are no numbers of that shape.
 
         >>> mount = Pose(np.array([1.9, 0.0, 1.3]), np.eye(3))
         >>> camera = Camera(64, 48, (60.0, 60.0), (32.0, 24.0), (-0.2, 0.05, 1e-3, 0.0, 0.0), mount)
         >>> np.allclose(camera.project(camera.rays([[3.0, 40.0]])), [[3.0, 40.0]])
         True
         """
-        points = np.asarray(pixels, np.float64)
+        points = checked_points("pixels", pixels, 2)
         wanted_u, wanted_v = np.moveaxis((points - self.centre_px) / self.focal_px, -1, 0)
         u, v = wanted_u, wanted_v
         if any(self.distortion):

@@ -45,6 +45,18 @@ def test_convert_and_check(tmp_path: Path) -> None:
     assert "image.png: size: expected 1280x960 px as the calibration has it, got 640x400 px" in said
 
 
+def test_convert_tells_of_a_mount_that_it_leaves_out(tmp_path: Path) -> None:
+    (tmp_path / "front.yaml").write_text(ROS)
+    whole, out = converted(tmp_path, tmp_path / "front.yaml"), tmp_path / "other.toml"
+    lens = tmp_path / "lens.toml"
+    lens.write_text(whole.read_text().partition("[mount]")[0])
+    for source, is_told in ((whole, True), (lens, False)):
+        result = foreglow_command("calibrate", "convert", source, "--out", out, *MOUNT)
+        assert result.exit_code == 0, result.output
+        assert (f"warning: the mount in {source} was left out" in result.stdout) is is_told
+        out.unlink()
+
+
 def test_a_calibration_is_scaled_to_the_image(tmp_path: Path) -> None:
     """As `run` does with it: half as large, everything is at half the place, and in the same direction."""
     (tmp_path / "front.yaml").write_text(ROS)

@@ -106,6 +106,7 @@ def test_the_middle_of_the_driving_lanes(tmp_path: Path) -> None:
     [
         ((), (("none", 4), ("driving", 3.5), ("driving", 3.5)), -7.5, 3.5),
         ((), (("median", 2), ("driving", 3.5)), -3.75, 1.75),
+        ((), (("driving", 3), ("bus", 3), ("slipLane", 2)), -4, 4),
         ((), (("driving", 3.5), ("biking", 2), ("driving", 3.5)), -4.5, 4.5),
         ((("driving", 3), ("shoulder", 2)), (), 1.5, 1.5),
         ((("median", 2), ("driving", 3.5)), (("median", 2), ("driving", 3.5), ("shoulder", 1)), 0.0, 5.5),
@@ -160,6 +161,12 @@ def test_roads_without_a_lane_for_cars_are_left_out(tmp_path: Path) -> None:
     ("text", "message"),
     [
         (road("", 40), "road 7: planView: expected at least one <geometry>"),
+        (
+            road(
+                geometry(0, 0, 0, 0, 40, "<line/>"), 40, LANES.format(offset="", right=3).replace("sidewalk", "Driving")
+            ),
+            "road 7: lane 2: type: expected one of bidirectional, biking, .*, got 'Driving'",
+        ),
         (road(geometry(0, 0, 0, 0, 40, "<poly3/>"), 40), "road 7: geometry: expected line, arc, .*got poly3"),
         (road(geometry(0, 0, 0, 1e300, 40, "<line/>"), 40), r"road 7: geometry: hdg: .* 1000 rad, got 1e\+300"),
         (

@@ -24,9 +24,10 @@ import numpy as np
 
 from foreglow.beam.gap_light import GapLight
 from foreglow.geometry import Floats
+from foreglow.numbers import checked_whole
 from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
-from foreglow.types.arrays import check_kind, checked_whole
+from foreglow.types.arrays import check_kind
 from foreglow.wording import shortened
 
 OWN_DBC = Path(__file__).with_name("foreglow_beam.dbc")

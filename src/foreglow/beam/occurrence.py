@@ -46,7 +46,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import Floats, checked_number
+from foreglow.geometry import Floats
+from foreglow.numbers import checked_number
 from foreglow.types import RoadAhead
 from foreglow.types.arrays import check_kind
 from foreglow.types.frame import MAX_SPEED_MPS

@@ -9,7 +9,9 @@ from foreglow.calibration.kitti import read_kitti_intrinsics
 from foreglow.calibration.ros import read_ros_intrinsics
 from foreglow.calibration.toml_file import read_toml_calibration, read_toml_intrinsics
 from foreglow.calibration.values import ImageChoice, Intrinsics, Mount
+from foreglow.files import checked_path
 from foreglow.geometry import Camera
+from foreglow.types.arrays import check_kind
 
 READERS: dict[str, Callable[[Path, ImageChoice], Intrinsics]] = {
     ".toml": read_toml_intrinsics,
@@ -31,7 +33,9 @@ def read_intrinsics(path: Path | str, choice: ImageChoice | None = None) -> Intr
         FileNotFoundError: If there is no such file.
         ValueError: If its ending is another, or it cannot be used; the message names path, field and expectation.
     """
-    path = Path(path)
+    path = checked_path(path)
+    if choice is not None:
+        check_kind("choice", choice, ImageChoice)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a calibration that ends in {', '.join(READERS)}, got {path.suffix!r}")
@@ -49,8 +53,9 @@ def read_calibration(path: Path | str, mount: Mount | None = None) -> Camera:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be used, or there is no mount; the message names path and field.
     """
-    path = Path(path)
+    path = checked_path(path)
     if mount is not None:
+        check_kind("mount", mount, Mount)
         return read_intrinsics(path).camera(mount)
     if path.suffix.lower() == ".toml":
         intrinsics, own = read_toml_calibration(path)

@@ -33,6 +33,7 @@ import tomli_w
 from foreglow.calibration.values import NO_DISTORTION, Five, Focal, ImageChoice, Intrinsics, Mount, Side, Two
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.geometry import Camera, check_centre, rotation_angles_rad
+from foreglow.types.arrays import check_kind
 
 ANGLE_DECIMALS = 12
 """Decimals of a degree in a file: far finer than any calibration, and coarse enough that angles survive the conversion
@@ -97,7 +98,12 @@ def calibration_to_toml(camera: Camera) -> str:
 
 
 def calibration_values(camera: Camera) -> dict[str, dict[str, Any]]:
-    """The tables of that text, by which two cameras can be compared."""
+    """The tables of that text, by which two cameras can be compared.
+
+    Raises:
+        ValueError: If it is no camera.
+    """
+    check_kind("camera", camera, Camera)
     yaw, pitch, roll = (
         round(float(np.degrees(angle)), ANGLE_DECIMALS) + 0.0  # no -0.0
         for angle in rotation_angles_rad(camera.vehicle_from_camera.rotation)

@@ -90,7 +90,7 @@ def convert(
 ) -> None:
     """Convert the calibration of another program to TOML, with the position of the camera in the car."""
     from foreglow.calibration import ImageChoice, Mount, calibration_to_toml, read_intrinsics
-    from foreglow.config import validated
+    from foreglow.config import read_toml, validated
     from foreglow.display.calibration_check import warnings_of
     from foreglow.whole_files import write_atomic
 
@@ -101,6 +101,10 @@ def convert(
     choice = validated(ImageChoice, {"camera": camera, "is_rectified": rectified, "size_px": size_px}, "images")
     calibrated = read_intrinsics(source, choice).camera(mount)
     write_atomic(out, with_digest(calibration_to_toml(calibrated)).encode())
+    if source.suffix.lower() == ".toml" and "mount" in read_toml(source):
+        typer.echo(
+            f"warning: the mount in {source} was left out, with its standard deviations, for that of the options"
+        )
     for warning in warnings_of(calibrated):
         typer.echo(f"warning: {warning}")
     typer.echo(f"calibration in {out}; look at it with: foreglow calibrate check {out} IMAGE --out FILE.png")

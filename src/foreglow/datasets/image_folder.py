@@ -17,7 +17,7 @@ from foreglow.datasets.image_bytes import JPEG_SIGNATURE
 from foreglow.datasets.images import IMAGE_SUFFIXES, known_formats, read_coloured_image
 from foreglow.datasets.source import FileSource, OnError
 from foreglow.files import in_unicode
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number
 from foreglow.types import Frame
 from foreglow.wording import shortened
 

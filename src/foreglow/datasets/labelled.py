@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets.source import FileSource
+from foreglow.numbers import checked_whole
 from foreglow.types import Frame
-from foreglow.types.arrays import checked_whole
 from foreglow.wording import shortened
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
 from foreglow.files import checked_path
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number
 from foreglow.types import Frame
 from foreglow.types.arrays import check_members
 from foreglow.wording import check_one_of, exact_seconds, shortened

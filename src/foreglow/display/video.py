@@ -21,7 +21,7 @@ from foreglow.datasets.source import RESTART_NS
 from foreglow.display.overlay import Picture, annotate
 from foreglow.display.tone import Tone
 from foreglow.files import checked_path
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number
 from foreglow.types import Frame, FrameResult
 from foreglow.whole_files import naming
 

@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from foreglow.geometry import Floats, Pose, checked_floats, checked_number
+from foreglow.geometry import Floats, Pose
+from foreglow.numbers import checked_floats, checked_number
 from foreglow.types import RoadAhead
 
 MAX_OFFSET_M = 20.0

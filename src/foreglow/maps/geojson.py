@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 
 from foreglow.files import number_in, read_plain_json
-from foreglow.geometry import Floats, checked_number
+from foreglow.geometry import Floats
 from foreglow.maps.centre_line import MAX_WIDTH_M, CentreLine, check_length, check_points, check_steps, without_repeats
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
+from foreglow.numbers import checked_number
 from foreglow.street import LANE_WIDTH_M
 from foreglow.wording import shortened
 

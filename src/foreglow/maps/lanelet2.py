@@ -30,6 +30,10 @@ from foreglow.maps.centre_line import (
 from foreglow.maps.geographic import GeographicOrigin, check_position
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
+from foreglow.types.frame import MAX_CROSS_SLOPE
+
+LEAST_WIDTH_M = 1.0
+"""Of the cross slope: where borders are nearer to each other, as they meet, it would be that of their errors."""
 
 DRIVEN_SUBTYPES = frozenset({"road", "highway", "play_street"})
 SIDES = ("left", "right")
@@ -168,7 +172,12 @@ def _line(first: Floats, second: Floats, count: PointCount, origin: str) -> Cent
     is_left = (
         across[:, 1] * along[:, 0] - across[:, 0] * along[:, 1] > 0
     )  # the second border, in the direction of the points
-    cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, 0.1)
+    cross_slopes = np.where(is_left, 1.0, -1.0) * across[:, 2] / np.maximum(widths_m, LEAST_WIDTH_M)
+    if np.abs(cross_slopes).max() > MAX_CROSS_SLOPE:
+        steepest = float(np.abs(cross_slopes).max())
+        raise ValueError(
+            f"{origin}: borders: expected a cross slope of at most {MAX_CROSS_SLOPE:g}, got {steepest:.3g}"
+        )
     whole = without_repeats(np.column_stack([points, cross_slopes]))
     check_width(float(widths_m.mean()), f"{origin}: borders", MAX_BORDERS_M)
     if len(whole) < 2:

@@ -28,6 +28,7 @@ from foreglow.maps.centre_line import (
 from foreglow.maps.road_map import RoadMap
 from foreglow.maps.xml_file import number_of, read_xml
 from foreglow.street import LANE_WIDTH_M
+from foreglow.wording import shortened
 
 MAX_ROLL_RAD = 1.0
 """The largest superelevation of a road; the steepest of a race track has .6 rad."""
@@ -54,7 +55,48 @@ that it states, the road would be squeezed into a metre."""
 MAX_CURVATURE_PER_M = 1.0
 """The sharpest bend of a road has a radius of some metres."""
 
-DRIVEN_LANES = frozenset({"driving", "bidirectional", "entry", "exit", "onRamp", "offRamp", "connectingRamp"})
+DRIVEN_LANES = frozenset(
+    [
+        "driving",
+        "bidirectional",
+        "entry",
+        "exit",
+        "onRamp",
+        "offRamp",
+        "connectingRamp",
+        "slipLane",
+        "mwyEntry",
+        "mwyExit",
+        "HOV",
+        "bus",
+        "taxi",
+    ]
+)
+"""Types of lanes that vehicles drive on, and of all others, in OpenDRIVE 1.4 to 1.8: a lane of a type that is misspelt
+would be left out, and the road lie beside the real one."""
+
+OTHER_LANES = frozenset(
+    [
+        "none",
+        "border",
+        "curb",
+        "median",
+        "parking",
+        "restricted",
+        "roadWorks",
+        "rail",
+        "tram",
+        "shoulder",
+        "stop",
+        "biking",
+        "sidewalk",
+        "walking",
+        "shared",
+        "special1",
+        "special2",
+        "special3",
+    ]
+)
 _COEFFICIENTS = ("a", "b", "c", "d")
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
@@ -65,8 +107,8 @@ def read_opendrive(path: Path) -> RoadMap:
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not OpenDRIVE, a number is missing or broken, a geometry is of an unknown kind, a road has
-            gaps or steps, a driving lane has borders in place of widths, or there is no road; the message names path
-            and road.
+            gaps or steps, a lane is of an unknown type, or a driving one has borders in place of widths, or there is no
+            road; the message names path and road.
     """
     roads, count = read_xml(path, "OpenDRIVE").findall("road"), PointCount()
     lines = [line for road in roads if (line := _line(road, count, f"{path}: road {road.get('id')}")) is not None]
@@ -217,6 +259,14 @@ def _cubics(pieces: list[Element], ways_m: Floats, begin: str, origin: str) -> F
     return np.asarray(a + ds_m * (b + ds_m * (c + ds_m * d)))
 
 
+def _is_driven(lane: Element, origin: str) -> bool:
+    kind = lane.get("type", "driving")
+    if kind not in DRIVEN_LANES | OTHER_LANES:
+        expected = f"expected one of {', '.join(sorted(DRIVEN_LANES | OTHER_LANES, key=str.lower))}"
+        raise ValueError(f"{origin}: lane {lane.get('id')}: type: {expected}, got {shortened(kind)}")
+    return kind in DRIVEN_LANES
+
+
 def _width_m(lane: Element, ways_m: Floats, origin: str) -> Floats:
     """The lane's width at distances from the beginning of its section."""
     name, widths = f"{origin}: lane {lane.get('id')}", lane.findall("width")
@@ -246,7 +296,7 @@ def _edges_m(road: Element, ways_m: Floats, origin: str) -> tuple[Floats, Floats
         here = slice(*np.searchsorted(numbers, (number, number + 1)))
         for side, sign in (("left", 1), ("right", -1)):
             lanes = sorted(section.findall(f"{side}/lane"), key=lambda lane: abs(number_of(lane, "id", origin)))
-            are_driven = [lane.get("type", "driving") in DRIVEN_LANES for lane in lanes]
+            are_driven = [_is_driven(lane, origin) for lane in lanes]
             inner_m = np.zeros(len(ways_m[here]))
             while any(are_driven):  # from the middle to the last one, with what lies before it
                 lane, is_driven = lanes.pop(0), are_driven.pop(0)

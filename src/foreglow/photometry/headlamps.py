@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel, read_toml, validated
+from foreglow.files import checked_path
 from foreglow.geometry import Floats, Pose, rotation
+from foreglow.numbers import checked_floats, checked_points
 from foreglow.photometry.aim import (
     MIN_ASIDE_M,
     Aside,
@@ -32,7 +34,8 @@ from foreglow.photometry.intensity import IntensityTable, squares_m2
 from foreglow.photometry.lamps import low_beam
 from foreglow.photometry.ldt import read_ldt
 from foreglow.photometry.matrix import MAX_LED_CELLS, LedGrid, MatrixLamp, grid_lamp, measured_lamp
-from foreglow.wording import check_one_of
+from foreglow.types.arrays import check_kind
+from foreglow.wording import check_one_of, shortened
 
 MIN_BEAM_CD = 1000.0
 """The least peak of a low beam, and of all LEDs of a lamp together; real ones have ten to forty times as much."""
@@ -133,6 +136,10 @@ class Headlamp:
     vehicle_from_lamp: Pose
     matrix: MatrixLamp
 
+    def __post_init__(self) -> None:
+        check_kind("Headlamp.vehicle_from_lamp", self.vehicle_from_lamp, Pose)
+        check_kind("Headlamp.matrix", self.matrix, MatrixLamp)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Headlamps:
@@ -144,7 +151,7 @@ class Headlamps:
         right: The right lamp.
 
     Raises:
-        ValueError: If the lamps have different numbers of LEDs or of columns.
+        ValueError: If a field is of another type, or the lamps have different numbers of LEDs or of columns.
     """
 
     name: str
@@ -155,6 +162,8 @@ class Headlamps:
     _positions_lamp_m: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        for name, kind in (("name", str), ("left", Headlamp), ("right", Headlamp)):
+            check_kind(f"Headlamps.{name}", getattr(self, name), kind)
         lamps = (self.left, self.right)
         layouts = [(lamp.matrix.num_leds, lamp.matrix.num_columns) for lamp in lamps]
         if layouts[0] != layouts[1]:
@@ -185,8 +194,14 @@ class Headlamps:
         Returns:
             Intensities of the low beams, shape (P, 2), left and right, cd; and of the LEDs at level 1, shape
             (P, 2, L), cd. The total is low beam + levels * LEDs, summed over L.
+
+        Raises:
+            ValueError: If the directions are none of these.
         """
-        return self._lookup.towards(self._along_lamps(directions))
+        vectors = _finite("directions", directions)
+        if not vectors.any(axis=1).all():
+            raise ValueError("directions: expected vectors of any length but 0, got one of length 0")
+        return self._lookup.towards(self._along_lamps(vectors))
 
     def greatest_cd(
         self, azimuths_deg: Floats, elevations_deg: Floats
@@ -199,7 +214,12 @@ class Headlamps:
 
         Returns:
             Shape (E - 1, A - 1, L) each, float32, cd: `intensities_cd` is nowhere greater in a cell.
+
+        Raises:
+            ValueError: If the edges are not those of such a grid.
         """
+        azimuths_deg = _edges_deg("azimuths_deg", azimuths_deg, 180.0)
+        elevations_deg = _edges_deg("elevations_deg", elevations_deg, 90.0)
         left, right = (
             greatest_cd(lamp.matrix, lamp.vehicle_from_lamp.rotation, azimuths_deg, elevations_deg)
             for lamp in (self.left, self.right)
@@ -217,17 +237,39 @@ class Headlamps:
             total is low beams + levels * LEDs, summed over lamps and L.
 
         Raises:
-            ValueError: If a point is where a lamp is.
+            ValueError: If the points are none of these, or one is where a lamp is.
         """
-        offsets = self._along_lamps(points_vehicle) - self._positions_lamp_m
+        offsets = self._along_lamps(_finite("points_vehicle", points_vehicle)) - self._positions_lamp_m
         base_cd, leds_cd = self._lookup.towards(offsets)
         per_square_m = 1.0 / squares_m2(offsets)
         leds_cd *= per_square_m[..., np.newaxis]
         return np.asarray((base_cd * per_square_m).sum(-1)), leds_cd
 
-    def _along_lamps(self, vectors: ArrayLike) -> Floats:
+    def _along_lamps(self, vectors: Floats) -> Floats:
         """Vectors of the vehicle's frame, shape (P, 3), in the frames of both lamps, shape (P, 2, 3)."""
-        return (np.asarray(vectors, np.float64) @ self._turned).reshape(-1, 2, 3)
+        return (vectors @ self._turned).reshape(-1, 2, 3)
+
+
+def _finite(field: str, vectors: ArrayLike) -> Floats:
+    """Finite vectors of shape (P, 3): any others would be in the dark."""
+    found = checked_points(field, vectors, 3, is_finite=True)
+    if found.ndim != 2:
+        raise ValueError(f"{field}: expected numbers of shape (P, 3), got shape {found.shape}")
+    return found
+
+
+def _edges_deg(field: str, edges_deg: ArrayLike, most_deg: float) -> Floats:
+    """The growing edges of a grid's cells."""
+    found = checked_floats(field, edges_deg)
+    if (
+        found.ndim != 1
+        or len(found) < 2
+        or not (np.diff(found) > 0).all()
+        or not np.abs(found).max() <= most_deg + 1e-9
+    ):
+        expected = f"two or more growing angles from {-most_deg:g} to {most_deg:g} degrees"
+        raise ValueError(f"{field}: expected {expected}, got {shortened(found)}")
+    return found
 
 
 class LampDescription(FrozenModel):
@@ -297,7 +339,7 @@ def read_headlamps(path: Path | str | None = None) -> Headlamps:
         ValueError: If it is not TOML, a field is unknown, missing or out of range, the lamps do not match, or a file
             that it names is broken; the message names path, field and what was expected.
     """
-    return _shipped() if path is None else _read(Path(path))
+    return _shipped() if path is None else _read(checked_path(path))
 
 
 def read_lamp_file(path: Path | str) -> IntensityTable:
@@ -307,7 +349,7 @@ def read_lamp_file(path: Path | str) -> IntensityTable:
         FileNotFoundError: If there is no such file.
         ValueError: If the suffix is neither `.ies` nor `.ldt`, or the file is broken; the message names the path.
     """
-    path = Path(path)
+    path = checked_path(path)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a file whose name ends in {' or '.join(READERS)}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from foreglow.files import checked_path
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.number_fields import NumberFields, read_lamp_text, scaled_candela
@@ -52,7 +53,7 @@ def read_ies(path: Path | str) -> IntensityTable:
 
     Source: ANSI/IES LM-63-2019 and its older editions, after public descriptions of the format.
     """
-    path = Path(path)
+    path = checked_path(path)
     lines = read_lamp_text(path).splitlines()
     try:
         return _read_lines(path, lines)

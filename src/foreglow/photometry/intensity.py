@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foreglow.geometry import Floats, Pose
+from foreglow.numbers import checked_floats, checked_points
+from foreglow.types.arrays import check_kind
 
 NEAREST_M = 1e-6
 """Nearer to a lamp, which is a point here, illuminance would grow without limit."""
@@ -32,13 +34,18 @@ class IntensityTable:
 
     def __post_init__(self) -> None:
         for name in ("azimuths_deg", "elevations_deg"):
-            grid = np.array(getattr(self, name), np.float64)
-            steps = np.diff(grid)
-            if grid.ndim != 1 or len(grid) < 2 or not np.allclose(steps, steps[0], atol=1e-6) or steps[0] <= 0:
+            grid = checked_floats(f"IntensityTable.{name}", getattr(self, name))
+            steps = np.diff(grid) if grid.ndim == 1 and len(grid) > 1 and np.isfinite(grid).all() else np.zeros(1)
+            if not np.allclose(steps, steps[0], atol=1e-6) or steps[0] <= 0:
                 raise ValueError(f"IntensityTable.{name}: expected at least two angles growing in equal steps")
             grid.flags.writeable = False  # all users of a built-in lamp have the same table
             object.__setattr__(self, name, grid)
-        table = np.array(self.intensities_cd, np.float32)
+        is_table = isinstance(self.intensities_cd, np.ndarray) and self.intensities_cd.dtype == np.float32
+        given = (
+            self.intensities_cd if is_table else checked_floats("IntensityTable.intensities_cd", self.intensities_cd)
+        )
+        with np.errstate(over="ignore"):  # what is infinite then is refused
+            table = np.array(given, np.float32)
         if table.shape != (len(self.elevations_deg), len(self.azimuths_deg)):
             raise ValueError(
                 f"IntensityTable.intensities_cd: expected shape "
@@ -62,8 +69,12 @@ class IntensityTable:
         return float(rings.sum() * steps.prod())
 
     def towards(self, directions: ArrayLike) -> Floats:
-        """Intensity in cd, shape (...), towards `directions` of shape (..., 3) in the lamp's frame; bilinear."""
-        x, y, z = np.moveaxis(np.asarray(directions, np.float64), -1, 0)
+        """Intensity in cd, shape (...), towards `directions` of shape (..., 3) in the lamp's frame; bilinear.
+
+        Raises:
+            ValueError: If they are no finite numbers of that shape: others would be in the dark.
+        """
+        x, y, z = np.moveaxis(checked_points("directions", directions, 3, is_finite=True), -1, 0)
         columns = (np.degrees(np.arctan2(y, x)) - self.azimuths_deg[0]) / (self.azimuths_deg[1] - self.azimuths_deg[0])
         elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
         rows = (elevations - self.elevations_deg[0]) / (self.elevations_deg[1] - self.elevations_deg[0])
@@ -89,9 +100,12 @@ def illuminance_lx(table: IntensityTable, world_from_lamp: Pose, points_world: A
     """Illuminance in lx, shape (...), at points of shape (..., 3) facing the lamp, with nothing in between.
 
     Raises:
-        ValueError: If a point is nearer to the lamp than `NEAREST_M`.
+        ValueError: If an argument is of another type or shape, or a point is not finite, or nearer to the lamp than
+            `NEAREST_M`.
     """
-    points = world_from_lamp.to_body(points_world)
+    check_kind("table", table, IntensityTable)
+    check_kind("world_from_lamp", world_from_lamp, Pose)
+    points = world_from_lamp.to_body(checked_points("points_world", points_world, 3, is_finite=True))
     return np.asarray(table.towards(points) / squares_m2(points))
 
 

@@ -12,6 +12,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from foreglow.geometry import Floats
+from foreglow.numbers import checked_number
 from foreglow.photometry.intensity import IntensityTable
 
 HEADLAMP_AZIMUTHS_DEG = np.linspace(-90.0, 90.0, 721)
@@ -43,8 +44,16 @@ def low_beam(carpet: float = 1.0, stray: float = 1.0) -> IntensityTable:
     stray light, which falls off slowly to the side. `carpet` is a factor on the wide light; below 1, the foreground
     is darker, too: with 0.4, an old lamp of UN R112's class A, the road beside us and right before us is dark. `stray`
     is a factor on the stray light: snow and slush on a lamp scatter several times as much light above the cut-off.
+
+    Raises:
+        ValueError: If `carpet` is no number above 0 up to 1, or `stray` none from 0 to 100.
     """
-    return _low_beam(float(carpet), float(stray))
+    carpet, stray = checked_number("carpet", carpet), checked_number("stray", stray)
+    if not 0.0 < carpet <= 1.0:
+        raise ValueError(f"carpet: expected a number above 0, up to 1, got {carpet:g}")
+    if not 0.0 <= stray <= 100.0:
+        raise ValueError(f"stray: expected a number from 0 to 100, got {stray:g}")
+    return _low_beam(carpet, stray)
 
 
 @lru_cache(maxsize=16)

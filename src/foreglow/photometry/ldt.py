@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from foreglow.files import checked_path
 from foreglow.geometry import Floats
 from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.number_fields import NumberFields, read_lamp_text, scaled_candela
@@ -47,7 +48,7 @@ def read_ldt(path: Path | str) -> IntensityTable:
 
     Source: Stockmar, EULUMDAT, 1990 and 1998, after public descriptions of the format.
     """
-    path = Path(path)
+    path = checked_path(path)
     lines = read_lamp_text(path).split("\n")
     fields = NumberFields(path, [(number, line.strip()) for number, line in enumerate(lines, 1)])
     fields.seek(SYMMETRY_LINE - 1)

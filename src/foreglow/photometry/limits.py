@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foreglow.geometry import Floats
+from foreglow.numbers import checked_floats, checked_whole
 
 DOUBT = "transcribed from public third-party notes of the regulations, not the official texts; never call it compliant"
 
@@ -50,7 +51,7 @@ class IlluminanceLimits:
         """
         edges = np.array(self.edges_m)
         edges[-1] = np.nextafter(edges[-1], np.inf)
-        bins = np.searchsorted(edges, np.asarray(range_m, np.float64), side="right") - 1
+        bins = np.searchsorted(edges, checked_floats("range_m", range_m), side="right") - 1
         return np.where(bins < len(self.limits_lx), bins, -1)
 
     def at(self, range_m: ArrayLike) -> Floats:
@@ -85,7 +86,7 @@ class IntensityLimit:
         >>> UN_R123[0].illuminance_lx()
         0.5
         """
-        return num_lamps * self.limit_cd / self.distance_m**2
+        return checked_whole("num_lamps", num_lamps, 1) * self.limit_cd / self.distance_m**2
 
 
 _FMVSS = "49 CFR 571.108 (FMVSS 108), track test of adaptive driving beams"

@@ -12,8 +12,10 @@ from pydantic import Field, model_validator
 
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
+from foreglow.numbers import checked_floats, checked_whole
 from foreglow.photometry.intensity import IntensityTable
 from foreglow.photometry.resampling import MAX_CELLS, bilinear, check_kept
+from foreglow.types.arrays import check_kind, checked_array
 from foreglow.wording import shortened
 
 NUM_LEDS = 84
@@ -54,6 +56,9 @@ class MatrixLamp:
         azimuths_deg: Shape (L,), middle of each LED's light, positive to the left.
         elevations_deg: Shape (L,), middle of each LED's light, positive upwards.
         num_columns: LEDs in a row.
+
+    Raises:
+        ValueError: If a field is of another type or shape, or an intensity is negative or not finite.
     """
 
     base: IntensityTable
@@ -65,8 +70,18 @@ class MatrixLamp:
     num_columns: int
 
     def __post_init__(self) -> None:
+        for name, kind in (("base", IntensityTable), ("columns", slice), ("rows", slice)):
+            check_kind(f"MatrixLamp.{name}", getattr(self, name), kind)
+        reached = self.base.intensities_cd[self.rows, self.columns].shape
+        leds_cd = checked_array("MatrixLamp.leds_cd", self.leds_cd, np.dtype(np.float32), (None, *reached))
+        if not leds_cd.size or not 0 <= leds_cd.min() <= leds_cd.max() < np.inf:
+            raise ValueError("MatrixLamp.leds_cd: expected finite intensities of at least 0, of one LED or more")
+        if len(leds_cd) % checked_whole("MatrixLamp.num_columns", self.num_columns, 1):
+            raise ValueError(f"MatrixLamp.num_columns: expected whole rows of {len(leds_cd)}, got {self.num_columns}")
         for name in ("azimuths_deg", "elevations_deg"):
-            angles = np.array(getattr(self, name), np.float64)
+            angles = checked_floats(f"MatrixLamp.{name}", getattr(self, name))
+            if angles.shape != (len(leds_cd),) or not np.isfinite(angles).all():
+                raise ValueError(f"MatrixLamp.{name}: expected {len(leds_cd)} finite angles, got {shortened(angles)}")
             angles.flags.writeable = False
             object.__setattr__(self, name, angles)
 
@@ -81,7 +96,7 @@ class MatrixLamp:
         Raises:
             ValueError: If there are not L levels, or one is outside 0..1.
         """
-        levels = np.asarray(levels, np.float32)
+        levels = checked_floats("levels", levels).astype(np.float32)
         if levels.shape != (self.num_leds,) or not ((levels >= 0) & (levels <= 1)).all():
             raise ValueError(f"levels: expected {self.num_leds} numbers from 0 to 1, got {shortened(levels)}")
         intensities = self.base.intensities_cd.copy()
@@ -99,7 +114,8 @@ class LedGrid(FrozenModel):
         num_columns: LEDs in a row.
         pitch_deg: Distance between columns.
         row_elevations_deg: Middle of each row, the lowest first.
-        row_peaks_cd: Peak intensity of each row on the axis; to the sides it falls off as a Gaussian.
+        row_peaks_cd: Peak intensity of each row on the lamp's axis, whatever the columns' turn; to the sides it falls
+            off as a Gaussian.
         side_sigma_deg: Standard deviation of that Gaussian.
         everywhere_cd: Constant that is added to the peak of every LED.
         half_width_deg: Angle from the middle of a column at which its light has fallen to 1 / e.
@@ -155,7 +171,7 @@ def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> Mat
         np.arange(grid.num_columns, dtype=np.float64) - (grid.num_columns - 1) / 2
     ) * grid.pitch_deg + turn_deg
     furthest = max(column_azimuths, key=abs)
-    if abs(furthest) > MAX_AZIMUTH_DEG:
+    if not abs(furthest) <= MAX_AZIMUTH_DEG:
         raise ValueError(
             f"num_columns: expected columns within {MAX_AZIMUTH_DEG:g} degrees of the axis, with pitch_deg and "
             f"turn_deg, got one at {furthest:g}"

@@ -22,13 +22,14 @@ from foreglow.beam import BeamStage
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, how_read, lost_parts
 from foreglow.datasets.source import also_left_out, check_source
+from foreglow.numbers import checked_whole
 from foreglow.plugins import staying
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
-from foreglow.types.arrays import check_kind, check_members, checked_whole
+from foreglow.types.arrays import check_kind, check_members
 from foreglow.whole_files import ENDINGS, undisturbed
 
 PATIENCE_S = 2.0

@@ -190,24 +190,6 @@ def check_names(field: str, names: object) -> None:
         raise ValueError(f"{field}: expected a sequence of names, got {shortened(names)}")
 
 
-def checked_whole(field: str, value: object, least: int, most: int | None = None) -> int:
-    """A whole number from `least` to `most`, such as a count, as a plain one.
-
-    Raises:
-        ValueError: If it is another one, or none; the message begins with `field`.
-
-    >>> checked_whole("limit", "3", 0)
-    Traceback (most recent call last):
-    ValueError: limit: expected a whole number of at least 0, got '3'
-    """
-    if isinstance(value, int | np.integer) and not isinstance(value, bool):
-        number = int(value)
-        if least <= number and (most is None or number <= most):
-            return number
-    bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
-    raise ValueError(f"{field}: expected a whole number {bounds}, got {shortened(value)}")
-
-
 def checked_time_ns(field: str, time_ns: object) -> int:
     """A time in nanoseconds as a plain number.
 

@@ -9,7 +9,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.types.arrays import Value, checked_array, checked_time_ns, checked_whole
+from foreglow.numbers import checked_whole
+from foreglow.types.arrays import Value, checked_array, checked_time_ns
 from foreglow.wording import shortened
 
 _FLOAT64 = np.dtype(np.float64)

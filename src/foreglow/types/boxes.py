@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import checked_share
+from foreglow.numbers import checked_share
 from foreglow.types.arrays import Boxes, Value, check_kind, checked_array
 from foreglow.types.kinds import LIGHT_KINDS, checked_kinds, direct_of_kinds, names_of_kinds
 

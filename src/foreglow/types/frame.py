@@ -11,7 +11,8 @@ from types import MappingProxyType, NoneType
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.geometry import Camera, check_mount, checked_floats, checked_number
+from foreglow.geometry import Camera, check_mount
+from foreglow.numbers import checked_floats, checked_number
 from foreglow.types.arrays import Image, Value, check_unmasked, checked_time_ns, frozen_view
 from foreglow.wording import shortened
 
@@ -19,8 +20,9 @@ MAX_SPEED_MPS, MAX_YAW_RATE_RADPS, MAX_PITCH_RAD = 150.0, 3.0, 0.35
 """No car drives faster (540 km/h), or turns faster: at the limit of its tyres it is 1 rad/s, in a spin about 2. None
 dives or squats by 20 degrees."""
 
-MAX_HALF_WIDTH_M, MAX_ROAD_NUMBER = 200.0, 1e9
-"""No carriageway of a map is so wide; and no coordinate or slope is so large, of which others can be computed."""
+MAX_HALF_WIDTH_M, MAX_CROSS_SLOPE, MAX_ROAD_NUMBER = 200.0, 1.6, 1e9
+"""No carriageway of a map is so wide, or so steep across: that of OpenDRIVE's steepest road is 1.56, and 2.5 is one in
+percent; and no coordinate is so large, of which others can be computed."""
 
 COLOURLESS = 128
 """`Frame.red_chroma` of white, in 8 bits; `colourless` has that of 16 bits."""
@@ -121,8 +123,8 @@ class RoadAhead(Value):
             slopes = np.zeros(len(points))
         if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
             raise ValueError(f"RoadAhead.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
-        if np.abs(slopes).max() > MAX_ROAD_NUMBER:
-            expected = f"expected numbers of at most {MAX_ROAD_NUMBER:g}"
+        if np.abs(slopes).max() > MAX_CROSS_SLOPE:
+            expected = f"expected rises for each metre of at most {MAX_CROSS_SLOPE:g}, not percent"
             raise ValueError(f"RoadAhead.cross_slopes: {expected}, got {np.abs(slopes).max():g}")
         object.__setattr__(self, "points_m", frozen_view(points))
         object.__setattr__(self, "cross_slopes", frozen_view(slopes))

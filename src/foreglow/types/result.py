@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from foreglow.types.arrays import Image, Value, check_kind, check_members, check_numbers, checked_time_ns, checked_whole
+from foreglow.numbers import checked_whole
+from foreglow.types.arrays import Image, Value, check_kind, check_members, check_numbers, checked_time_ns
 from foreglow.types.beam import BeamCommand
 from foreglow.types.boxes import Detections, Proposals, Ranges
 from foreglow.types.tracks import Tracks

@@ -33,6 +33,7 @@ from foreglow.datasets.pvdn.schema import (
 )
 from foreglow.datasets.pvdn.splits import splits_below
 from foreglow.files import checked_path
+from foreglow.numbers import checked_whole
 from foreglow.types import Frame
 from foreglow.types.arrays import check_kind
 from foreglow.whole_files import write_atomic
@@ -125,9 +126,9 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             images: At least one image; an id may occur once in the whole split. They are read one at a time.
 
         Raises:
-            ValueError: If an id or a folder occurs twice, a camera configuration does not exist, the ids differ from
-                the sequence's, or `info` has a `rate_hz` and the times do not increase with the ids, by a millisecond
-                at least. Nothing of the sequence is left behind then.
+            ValueError: If an id is negative, an id or a folder occurs twice, a camera configuration does not exist, the
+                ids differ from the sequence's, or `info` has a `rate_hz` and the times do not increase with the ids, by
+                a millisecond at least. Nothing of the sequence is left behind then.
             OSError: If a file cannot be written; likewise.
         """
         for known in self._sequences:
@@ -204,6 +205,7 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
 
     def _record(self, labelled: LabelledImage, added: Mapping[int, ImageRecord]) -> ImageRecord:
         frame = labelled.frame
+        checked_whole(f"{self._name}: image id", frame.frame)
         if frame.frame in self._images or frame.frame in added:
             raise ValueError(f"{self._name}: image id: expected each once, {frame.frame} is there twice")
         if not 0 <= labelled.camera_configuration < len(CAMERA_CONFIGURATIONS):

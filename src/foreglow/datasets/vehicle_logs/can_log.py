@@ -18,7 +18,7 @@ from foreglow.datasets.vehicle_logs.mapping import CanMapping, NumberSignal, Sec
 from foreglow.datasets.vehicle_logs.quantities import FACTORS, factor_of, has_both_signs, known_values
 from foreglow.datasets.vehicle_logs.street_frames import StreetFrames
 from foreglow.files import MIB, checked_path, read_text
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
 from foreglow.wording import shortened

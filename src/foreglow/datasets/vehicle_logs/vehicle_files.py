@@ -11,9 +11,10 @@ import numpy as np
 from foreglow.calibration import read_calibration
 from foreglow.datasets.vehicle_data import VehicleData, fitting
 from foreglow.datasets.vehicle_logs.can_log import CanLog, read_can_log
-from foreglow.geometry import Camera, checked_number
+from foreglow.geometry import Camera
 from foreglow.maps import PoseTrack, RoadMap, read_poses, read_road_map
 from foreglow.maps.centre_line import MAX_HEIGHT_OFFSET_M, MIN_ALONG
+from foreglow.numbers import checked_number
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame, RoadAhead
 

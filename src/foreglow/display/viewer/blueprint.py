@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from foreglow.display.overlay import CAPTION_GROUND_BGR
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number
 
 GROUND_RGB = CAPTION_GROUND_BGR[::-1]
 

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from foreglow.lab.evaluation.boxes.matching import Matches
 from foreglow.lab.evaluation.ratios import percentiles, ratios
+from foreglow.numbers import checked_floats, checked_share, checked_whole
+from foreglow.types.arrays import check_kind
+from foreglow.wording import shortened
 
 Counts: TypeAlias = NDArray[np.float64]
 """Shape (..., 3): tp, fp and fn, of one scene or of many together."""
@@ -71,7 +74,18 @@ def ratio(counts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def scene_counts(matches: Matches, sequence_of: Mapping[int, int], threshold: float) -> Counts:
-    """Shape (S, 3): tp, fp and fn of each scene as `evaluate_boxes` counts them, scenes in the order of their ids."""
+    """Shape (S, 3): tp, fp and fn of each scene as `evaluate_boxes` counts them, scenes in the order of their ids.
+
+    Raises:
+        ValueError: If an argument is of another type, an image is in no sequence, or the threshold is no number from 0
+            to 1.
+    """
+    check_kind("matches", matches, Matches)
+    check_kind("sequence_of", sequence_of, Mapping)
+    threshold = checked_share("threshold", threshold)
+    for image_id in matches.image_ids:
+        if image_id not in sequence_of:
+            raise ValueError(f"sequence_of: expected the sequence of each image, got none of image {image_id}")
     sequences = np.array([sequence_of[image_id] for image_id in matches.image_ids], np.int64)
     scenes, scene_of_image = np.unique(sequences, return_inverse=True)
     scene_of_point = scene_of_image[matches.image_of_point]
@@ -107,10 +121,12 @@ def paired_bootstrap(
         seed: Of the draws; the same seed, the same result.
 
     Raises:
-        ValueError: If the shapes differ, there is no scene, or the figure is defined in no resample.
+        ValueError: If the counts are no finite numbers of the same shape, there is no scene, the number of resamples or
+            the seed is none, or the figure is defined in no resample.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapters 8 and 13 (percentile interval).
     """
+    counts_a, counts_b = _checked_counts("counts_a", counts_a), _checked_counts("counts_b", counts_b)
     if counts_a.shape != counts_b.shape or counts_a.ndim != 2 or not len(counts_a):
         raise ValueError(f"counts: expected the same shape (S, C), S >= 1, got {counts_a.shape} and {counts_b.shape}")
 
@@ -149,6 +165,7 @@ def percentile_interval(
 
     Source: as for `paired_bootstrap`.
     """
+    counts = checked_floats("counts", counts)
     if len(counts) < 2:
         return math.nan, math.nan
     drawn = resampled(lambda weights: figure(weights @ counts), len(counts), num_resamples, seed)
@@ -164,11 +181,23 @@ def resampled(figure: Figure, num_scenes: int, num_resamples: int, seed: int) ->
         num_scenes: S.
         num_resamples: How often scenes are drawn.
         seed: Of the draws.
+
+    Raises:
+        ValueError: If the number of resamples is no whole one of at least 1, or the seed none of at least 0.
     """
-    rng = np.random.default_rng(seed)
+    checked_whole("num_resamples", num_resamples, 1)
+    rng = np.random.default_rng(checked_whole("seed", seed))
     shares = np.full(num_scenes, 1.0 / num_scenes)
     chunks = (min(CHUNK, num_resamples - start) for start in range(0, num_resamples, CHUNK))
     drawn: NDArray[np.float64] = np.concatenate(
         [figure(rng.multinomial(num_scenes, shares, num).astype(np.float64)) for num in chunks]
     )
     return drawn[~np.isnan(drawn)]
+
+
+def _checked_counts(field: str, counts: object) -> NDArray[np.float64]:
+    """Finite counts of shape (S, C) of each scene."""
+    found = checked_floats(field, counts)
+    if found.ndim != 2 or not np.isfinite(found).all():
+        raise ValueError(f"{field}: expected finite numbers of shape (S, C), got {shortened(counts)}")
+    return found

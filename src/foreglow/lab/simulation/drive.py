@@ -31,6 +31,7 @@ from foreglow.lab.simulation.light.render import QUALITIES
 from foreglow.lab.simulation.moment import Moment, Moments
 from foreglow.lab.simulation.scenes.scene import CameraSpec, Scene
 from foreglow.lab.simulation.variants import AS_IT_IS, Variant, draw_variants
+from foreglow.numbers import checked_floats
 from foreglow.photometry import Headlamps, read_headlamps
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.street import road_from_message
@@ -60,6 +61,8 @@ class DriveCamera:
         """
         self._scene = scene
         self._variant = variant
+        if profile is not None:
+            check_kind("profile", profile, CameraProfile)
         self._view = None if profile is None else View(profile, rendered)
         self.camera = rendered if self._view is None else self._view.camera
         self._imager = _imager(scene, self.camera, profile, variant)
@@ -201,7 +204,7 @@ class Drive:
             headlamps: Our matrix headlamps; None for the built-in ones.
 
         Raises:
-            ValueError: If the quality is unknown, or the scene is none.
+            ValueError: If the quality is unknown, the scene is none, or the headlamps are none.
         """
         check_kind("scene", scene, Scene)
         self.scene = scene
@@ -213,6 +216,8 @@ class Drive:
         self.camera = camera_of(scene.camera)
         check_one_of(quality, QUALITIES, "quality")
         self.settings = QUALITIES[quality]
+        if headlamps is not None:
+            check_kind("headlamps", headlamps, Headlamps)
         self.headlamps = headlamps or read_headlamps()
         self._led_levels: Floats = np.ones((2, self.headlamps.num_leds))
 
@@ -227,7 +232,7 @@ class Drive:
         """
         if self.scene.ego.beam != "matrix":
             raise ValueError(f"set_led_levels: expected a scene with ego.beam = 'matrix', got {self.scene.ego.beam!r}")
-        given = np.array(levels, np.float64)
+        given = checked_floats("set_led_levels", levels)
         shape = (2, self.headlamps.num_leds)
         if given.shape != shape or not ((given >= 0) & (given <= 1)).all():
             raise ValueError(f"set_led_levels: expected {shape} numbers from 0 to 1, got shape {given.shape}")
@@ -266,8 +271,10 @@ def side_by_side(
         profile: The camera; None for the scene's own.
 
     Raises:
-        ValueError: If the quality is unknown, or the profile does not fit the rendering.
+        ValueError: If the quality is unknown, an argument is of another type, or the profile does not fit the
+            rendering.
     """
+    check_kind("led_levels", led_levels, Callable)  # type: ignore[arg-type]
     source = Drive(scene, quality, headlamps)
     moments = Moments(scene, source.camera, source.settings, source.headlamps, is_relit=True)
     whole = np.ones((2, source.headlamps.num_leds))
@@ -323,6 +330,8 @@ def drive_exposures(
         ValueError: If the quality or a preset is unknown, or a profile does not fit the rendering.
     """
     source = Drive(scene, quality)
+    check_kind("profiles", profiles, Sequence)
+    check_kind("presets", presets, Sequence)
     variants = draw_variants(scene, num_variants)
     cameras = [DriveCamera(scene, source.camera, profile, variant) for profile in profiles for variant in variants]
     proposers = {name: make_proposer(preset(name).proposals) for name in presets}

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.scenes.surroundings import FactorOrNone, SpecModel
+from foreglow.numbers import checked_whole
 
 VARIANT_STREAM = 903
 """Random stream of a variant, `np.random.default_rng([scene.seed, VARIANT_STREAM, number])`."""
@@ -49,6 +50,9 @@ class Variant(SpecModel):
         return (self.low, self.high) != (1.0, 1.0)
 
 
+MAX_VARIANTS = 10_000
+"""Variants of a drive, each of which is exposed at every moment."""
+
 AS_IT_IS = Variant()
 """The scene itself."""
 
@@ -57,10 +61,9 @@ def draw_variants(scene: Scene, num: int) -> tuple[Variant, ...]:
     """The first `num` variants of a scene; the first one is the scene itself. Each depends on its own number only.
 
     Raises:
-        ValueError: If the number is not positive.
+        ValueError: If the number is none from 1 to `MAX_VARIANTS`.
     """
-    if num < 1:
-        raise ValueError(f"variants: expected at least 1, got {num}")
+    checked_whole("variants", num, 1, MAX_VARIANTS)
     return (AS_IT_IS, *(_drawn(scene, number) for number in range(1, num)))
 
 

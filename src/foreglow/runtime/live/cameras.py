@@ -19,9 +19,8 @@ from foreglow.datasets import VehicleData, to_grey
 from foreglow.datasets.images import Chroma, check_size, quiet_opencv, red_chroma
 from foreglow.datasets.vehicle_data import equip
 from foreglow.datasets.video.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number, checked_whole
 from foreglow.types import Frame, Image
-from foreglow.types.arrays import checked_whole
 from foreglow.wording import shortened, without_password
 
 OPEN_S, READ_S = 5.0, 1.0

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 from foreglow.config import PipelineConfig
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number, checked_whole
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import described, words_of
 from foreglow.runs.summary_file import LiveSummary
@@ -27,7 +27,7 @@ from foreglow.runtime.live.worker import STAGE, THREADS, LivePipeline, Stepped, 
 from foreglow.runtime.memory import settled_memory
 from foreglow.runtime.run import PATIENCE_S, InterruptFlag, check_readable
 from foreglow.types import BeamCommand, Frame
-from foreglow.types.arrays import check_callables, check_each, check_kind, checked_whole
+from foreglow.types.arrays import check_callables, check_each, check_kind
 
 LIVE_FAULTS = frozenset(LiveFault)
 

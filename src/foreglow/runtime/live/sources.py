@@ -10,7 +10,7 @@ from typing import Protocol
 
 from foreglow.datasets import FrameSource, how_read, lost_parts, unread_end
 from foreglow.datasets.source import check_source
-from foreglow.geometry import checked_number
+from foreglow.numbers import checked_number
 from foreglow.runs.origin import origin_name
 from foreglow.runtime.live.watch import MAX_DELAY_NS
 from foreglow.types import BeamCommand, Frame

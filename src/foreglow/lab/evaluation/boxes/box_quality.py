@@ -21,10 +21,10 @@ from foreglow.datasets import PVDN, LabelledSource, open_labelled
 from foreglow.datasets.exchange import LabelFile
 from foreglow.datasets.exchange.transfer import RENUMBERED
 from foreglow.files import checked_path
-from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
+from foreglow.numbers import checked_share
 from foreglow.runs.labels_of_run import LabelsOfRun, check_times, labels_of_run
 from foreglow.runs.predictions import Predictions, is_coco_results, read_predictions, run_threshold
 

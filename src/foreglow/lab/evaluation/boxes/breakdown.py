@@ -17,7 +17,6 @@ from foreglow.datasets.pvdn import PVDN_RATE_HZ
 from foreglow.datasets.pvdn.schema import ImageRecord
 from foreglow.datasets.simulated import has_truth, read_truth
 from foreglow.files import fields_to_json
-from foreglow.geometry import checked_share
 from foreglow.lab.evaluation.boxes.curves import RecallCurve, recall_curve, threshold_at_false_boxes
 from foreglow.lab.evaluation.boxes.lights import (
     NUM_STRONGEST,
@@ -30,6 +29,7 @@ from foreglow.lab.evaluation.boxes.lights import (
 )
 from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
 from foreglow.lab.evaluation.ratios import ratio, share
+from foreglow.numbers import checked_number
 from foreglow.runs.predictions import Predictions
 from foreglow.types.arrays import check_kind
 
@@ -298,7 +298,7 @@ def match_lights(labels: SplitLabels, predictions: Predictions) -> LightMatches:
     """Which lights, doubtful ones too, lie in which of the predicted boxes; edges belong to a box.
 
     Raises:
-        ValueError: If one of the two is something else.
+        ValueError: If an argument is of another type.
     """
     check_kind("labels", labels, SplitLabels)
     matches = match_boxes(labels.keypoints_px, predictions)
@@ -321,10 +321,10 @@ def break_down(matched: LightMatches, threshold: float, labels: SplitLabels | No
     By weather and by scenario only where there are `labels`, those of the split.
 
     Raises:
-        ValueError: If an argument is of another kind, or the threshold is no number from 0 to 1.
+        ValueError: If an argument is of another type.
     """
     check_kind("matched", matched, LightMatches)
-    threshold = checked_share("threshold", threshold)
+    threshold = checked_number("threshold", threshold)
     if labels is not None:
         check_kind("labels", labels, SplitLabels)
     matches = matched.matches

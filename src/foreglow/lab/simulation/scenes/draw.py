@@ -9,6 +9,7 @@ import numpy as np
 
 from foreglow.lab.simulation.scenes.scene import CameraSpec, SensorSpec, WeatherSpec
 from foreglow.lab.simulation.scenes.surroundings import Settlement
+from foreglow.numbers import checked_whole
 
 Value = TypeVar("Value")
 
@@ -17,8 +18,12 @@ class Draw:
     """Draws from a seed; numbers are rounded, so that a scene is readable and the same after TOML and JSON."""
 
     def __init__(self, *seeds: int) -> None:
-        """Starts the stream of the given seeds, such as the data set's seed and the number of the scene."""
-        self._rng = np.random.default_rng(seeds)
+        """Starts the stream of the given seeds, such as the data set's seed and the number of the scene.
+
+        Raises:
+            ValueError: If one is no whole number of at least 0, or one that no scene can have.
+        """
+        self._rng = np.random.default_rng([checked_whole("seed", seed) for seed in seeds])
 
     def uniform(self, low: float, high: float) -> float:
         """Between `low` and `high`."""

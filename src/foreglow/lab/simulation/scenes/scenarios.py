@@ -19,7 +19,9 @@ from foreglow.lab.simulation.scenes.scene import CameraSpec, EgoBeam, RoadSpec, 
 from foreglow.lab.simulation.scenes.stream import COUNTRY, drawn_kind, drawn_vehicle, steady
 from foreglow.lab.simulation.scenes.surroundings import House, SurroundingsSpec
 from foreglow.lab.simulation.scenes.town import town
-from foreglow.wording import check_one_of
+from foreglow.numbers import checked_whole
+from foreglow.types.arrays import check_kind
+from foreglow.wording import check_one_of, shortened
 
 SWAPPED = {
     "left": "right",
@@ -150,6 +152,9 @@ def level_road(draw: Draw, name: str, seed: int) -> Scene:
 Split: TypeAlias = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
+MAX_SCENES = 1_000_000
+"""Scenes of a data set; a million fill more disks than anybody has, and take a day to be drawn."""
+
 DISTANCE_STREAM = 48
 """Number of the random stream of what is in the distance: all else is drawn as without it."""
 
@@ -259,7 +264,8 @@ def scenario(name: str, seed: int = 0) -> Scene:
     """A scene of the scenario called `name`.
 
     Raises:
-        ValueError: If there is no such scenario; the message lists those that exist.
+        ValueError: If there is no such scenario, and then the message lists those that exist, or the seed is no whole
+            number of at least 0.
     """
     check_one_of(name, SCENARIOS, "scenario")
     return SCENARIOS[name](Draw(seed, 0), name, seed)
@@ -269,10 +275,10 @@ def draw_scenes(num_scenes: int, seed: int, split: Split = "train", mixture: str
     """The scenes of a data set; each depends only on the seed, the split, the mixture and its number.
 
     Raises:
-        ValueError: If the number is not positive, or the split or the mixture is unknown.
+        ValueError: If the number is none from 1 to `MAX_SCENES`, the seed no whole number of at least 0, or the split
+            or the mixture is unknown.
     """
-    if num_scenes < 1:
-        raise ValueError(f"scenes: expected at least 1, got {num_scenes}")
+    checked_whole("scenes", num_scenes, 1, MAX_SCENES)
     check_one_of(split, SPLITS, "split")
     check_one_of(mixture, MIXTURES, "mixture")
     names, weights = list(MIXTURES[mixture]), list(MIXTURES[mixture].values())
@@ -292,8 +298,10 @@ def long_drives(num: int, seed: int, split: Split) -> tuple[Scene, ...]:
     """Drives by every kind of road of `LONG_DRIVES` in turn, at least 20 s long, each with somebody to meet.
 
     Raises:
-        ValueError: If there is no such split.
+        ValueError: If the number is none from 1 to `MAX_SCENES`, the seed no whole number of at least 0, or there is no
+            such split.
     """
+    checked_whole("scenes", num, 1, MAX_SCENES)
     check_one_of(split, SPLITS, "split")
     drives: list[Scene] = []
     number = 0
@@ -311,8 +319,11 @@ def resized(scene: Scene, width_px: int, height_px: int) -> Scene:
     """`scene` with another image size and the same horizontal field of view.
 
     Raises:
-        ValueError: If no scene's camera has such a size.
+        ValueError: If no scene's camera has such a size, or the scene is none.
     """
+    check_kind("scene", scene, Scene)
+    checked_whole("camera.width_px", width_px, 1)
+    checked_whole("camera.height_px", height_px, 1)
     camera = scene.camera
     if (camera.width_px, camera.height_px) == (width_px, height_px):
         return scene
@@ -332,14 +343,20 @@ def with_beam(scene: Scene, beam: EgoBeam) -> Scene:
     """`scene` with another beam of our own vehicle; unless that is `low`, our low beam is no longer changed.
 
     Raises:
-        ValueError: If there is no such beam.
+        ValueError: If there is no such beam, or the scene is none.
     """
+    check_kind("scene", scene, Scene)
     check_one_of(beam, EgoBeam, "beam")
     return scene.model_copy(update={"ego": scene.ego.with_beam(beam)})
 
 
 def without_traffic(scene: Scene) -> Scene:
-    """`scene` without vehicles whose lamps are lit; parked dark cars stay."""
+    """`scene` without vehicles whose lamps are lit; parked dark cars stay.
+
+    Raises:
+        ValueError: If the scene is none.
+    """
+    check_kind("scene", scene, Scene)
     return scene.model_copy(update={"vehicles": tuple(vehicle for vehicle in scene.vehicles if vehicle.beam == "off")})
 
 
@@ -351,6 +368,8 @@ def adapted(
     Raises:
         ValueError: If a value is out of range; the message names the field.
     """
+    if not isinstance(size_px, tuple | list) or len(size_px) != 2:
+        raise ValueError(f"size_px: expected a width and a height, got {shortened(size_px)}")
     sized = resized(scene, *size_px).model_dump()
     sized |= {"rate_hz": rate_hz, "pair_s": pair_s}
     sized["sensor"]["exposure"] = exposure

@@ -8,7 +8,9 @@ from typing import Any
 import tomli_w
 
 from foreglow.config import read_toml, validated
+from foreglow.files import checked_path
 from foreglow.lab.simulation.scenes.scene import Scene
+from foreglow.types.arrays import check_kind
 
 
 def read_scene(path: Path | str) -> Scene:
@@ -21,7 +23,7 @@ def read_scene(path: Path | str) -> Scene:
         ValueError: If it is not TOML, a field is unknown or out of range, or a low beam is changed that the scene
             does not show, as of lamps in high beam; the message names path and field.
     """
-    path = Path(path)
+    path = checked_path(path)
     scene = validated(Scene, read_toml(path), str(path))
     ego = scene.ego
     if ego.beam != "low":
@@ -46,7 +48,12 @@ def read_scene(path: Path | str) -> Scene:
 
 
 def scene_to_toml(scene: Scene) -> str:
-    """`scene` as TOML text that `read_scene` reads back equal; fields that are None are left out."""
+    """`scene` as TOML text that `read_scene` reads back equal; fields that are None are left out.
+
+    Raises:
+        ValueError: If the scene is none.
+    """
+    check_kind("scene", scene, Scene)
     fields: dict[str, Any] = scene.model_dump(exclude_none=True)
     return tomli_w.dumps(fields)
 
