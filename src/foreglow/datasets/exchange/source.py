@@ -420,9 +420,13 @@ class LabelFile(LabelledSource):
             return given.parent, Video(given, on_error="mark" if self.on_error == "mark" else "skip")
         if given is not None and not given.is_dir():
             raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
-        if given is not None:
-            return given, None
         first = self.labels.images[0].name
+        if given is not None:
+            names = (
+                [] if self.labels.is_video or (given / first).exists() else [each.name for each in self.labels.images]
+            )
+            is_in_names = bool(names) and all(name.startswith(f"{given.resolve().name}/") for name in names)
+            return given.resolve().parent if is_in_names else given, None  # a sequence, whose name they begin with
         for place in PLACES:
             if not self.labels.is_video and (self.root / place / first).is_file():
                 return self.root / place, None
