@@ -40,6 +40,9 @@ MIN_BEAM_CD = 1000.0
 MIN_LED_CD = 1.0
 """The least peak of an LED: the bundled ones that look furthest aside have some 2,500 cd."""
 
+MAX_LED_RATIO = 100.0
+"""Between the peak of an LED of a file and the median of all: of the bundled LEDs at most 4; kcd for cd make 1000."""
+
 MARGIN = 2
 """Width of the border of dark cells around the LEDs' tables; directions outside are looked up in it."""
 
@@ -376,6 +379,7 @@ def _matrix(path: Path, side: str, lamp: LampDescription, grid: LedGrid | None) 
     except ValueError as error:
         raise ValueError(f"{path}: {side}.led_files: {error}") from error
     _check_leds(made, f"{path}: {side}.led_files")
+    _check_units(made, f"{path}: {side}.led_files")
     try:
         check_led_order(made)
     except ValueError as error:
@@ -396,6 +400,22 @@ def _check_leds(lamp: MatrixLamp, name: str) -> None:
             f"{name}: LED {darkest}: expected at least {MIN_LED_CD:g} cd in some direction, got {peaks_cd[darkest]:g}"
         )
     _check_bright(lamp.leds_cd.sum(axis=0), f"{name}: all LEDs together")
+
+
+def _check_units(lamp: MatrixLamp, name: str) -> None:
+    """Passes LEDs of which none is so much darker or brighter than most that its file must be in another unit.
+
+    Raises:
+        ValueError: If one is; the message begins with `name`.
+    """
+    peaks_cd = lamp.leds_cd.max(axis=(1, 2))
+    usual_cd = float(np.median(peaks_cd))
+    for number, peak_cd in enumerate(peaks_cd.tolist()):
+        if not usual_cd / MAX_LED_RATIO <= peak_cd <= usual_cd * MAX_LED_RATIO:
+            raise ValueError(
+                f"{name}: LED {number}: expected a peak of a {MAX_LED_RATIO:g}th to {MAX_LED_RATIO:g} times the median "
+                f"of all LEDs, {usual_cd:g} cd, got {peak_cd:g}; is its file in another unit, such as kcd?"
+            )
 
 
 def _check_bright(intensities_cd: NDArray[np.floating], name: str) -> None:
