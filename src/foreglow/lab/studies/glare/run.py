@@ -275,8 +275,8 @@ def _claim(
             for name in WHAT_DECIDES:
                 before, now = known.plan.get(name, about["plan"][name]), about["plan"][name]
                 if before != now:
-                    wanted = f"expected {shortened(before)} as here before, got {shortened(now)}"
-                    raise ValueError(f"{file}: plan.{name}: {wanted}; choose another folder")
+                    words = f"expected {shortened(before)} as here before, got {shortened(now)}"
+                    raise ValueError(f"{file}: plan.{name}: {words}; choose another folder")
             raise ValueError(f"{file}: expected the configurations as they were here before; choose another folder")
         for kind, digests, before in (("models", files, known.models), ("scenes", scenes, known.scenes)):
             other = next((name for name in digests if before.get(name, digests[name]) != digests[name]), None)
