@@ -422,11 +422,11 @@ class LabelFile(LabelledSource):
             raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
         first = self.labels.images[0].name
         if given is not None:
-            names = (
-                [] if self.labels.is_video or (given / first).exists() else [each.name for each in self.labels.images]
-            )
-            is_in_names = bool(names) and all(name.startswith(f"{given.resolve().name}/") for name in names)
-            return given.resolve().parent if is_in_names else given, None  # a sequence, whose name they begin with
+            above = f"{given.resolve().name}/"
+            is_elsewhere = not (self.labels.is_video or (given / first).exists())
+            if is_elsewhere and all(image.name.startswith(above) for image in self.labels.images):
+                return given.resolve().parent, None  # of a sequence with whose name theirs begin
+            return given, None
         for place in PLACES:
             if not self.labels.is_video and (self.root / place / first).is_file():
                 return self.root / place, None
