@@ -13,6 +13,8 @@ import pytest
 
 from foreglow import outputs, own_files
 from foreglow.datasets import shipped_drive
+from foreglow.distance.hypotheses import read_hypotheses
+from foreglow.lab.learning.ranges import PRIOR, write_hypotheses
 from foreglow.models import BUNDLED, model_path
 from foreglow.own_files import FileKind
 from foreglow.runs.predictions import Predictions, write_predictions
@@ -55,6 +57,7 @@ def fixture_home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done("labels", "export", split, *guess, "--out", home / "made_LABELS-guess.json")
     write_predictions(home / "made_PREDICTIONS.json", Predictions({1: np.zeros((1, 4))}, {1: np.ones(1)}))
     read_run(home / "run").write_coco(home / "made_COCO_RESULTS.json")
+    write_hypotheses(home / "made_RANGE_MODEL.toml", read_hypotheses(PRIOR))
     (home / "made_MODEL.onnx").write_bytes(model_path(Path(BUNDLED)).read_bytes())
     return home
 
@@ -99,6 +102,8 @@ def test_files_of_users_stay(name: str, text: str, tmp_path: Path) -> None:
     ("name", "change"),
     [
         ("CALIBRATION.toml", lambda text: text.replace("position_m", "position_m  ")),
+        ("RANGE_MODEL.toml", lambda text: text.replace("box_shares = [", "box_shares = [  # mine")),
+        ("RANGE_MODEL.toml", lambda text: text.partition("\n")[2]),
         ("LABELS-cvat.xml", lambda text: text.replace("<task>", "<task>\n<id>7</id>")),
         ("LABELS-cvat.xml", lambda text: text.replace(' points="', ' points="1', 1)),
         ("LABELS-cvat-video.xml", lambda text: text.replace(' points="', ' points="1', 1)),
@@ -112,7 +117,7 @@ def test_files_of_users_stay(name: str, text: str, tmp_path: Path) -> None:
     ],
 )
 def test_what_was_corrected_since_stays(name: str, change: Callable[[str], str], home: Path, tmp_path: Path) -> None:
-    """A calibration by hand, as its comment asks for, and labels in a tool."""
+    """A calibration or a model of the ranges by hand, as its comment asks for, and labels in a tool."""
     path, kind = tmp_path / name, KINDS[re.split(r"[-.]", name)[0]]
     before = (home / f"made_{name}").read_text()
     path.write_text(before)

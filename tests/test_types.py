@@ -210,7 +210,6 @@ GIVEN: dict[str, Any] = {"points_m": ROAD, "half_width_m": 3.2}
         ({"half_width_m": 200.1}, "half_width_m: expected at most 200, got 200.1"),
         ({"half_width_m": np.inf}, "half_width_m: expected a positive number, got inf"),
         ({"points_m": 1e10 * ROAD}, r"points_m: expected at most 1e\+09 m, got 2e\+10"),
-        ({"cross_slopes": np.full(3, -1e10)}, r"cross_slopes: expected .* of at most 1.6, not percent, got 1e\+10"),
         ({"cross_slopes": np.full(3, 2.5)}, r"cross_slopes: expected .* of at most 1.6, not percent, got 2.5"),
         ({"cross_slopes": np.zeros(2)}, r"cross_slopes: expected 3 finite numbers"),
         ({"error_bound_m": np.nan}, "error_bound_m: expected a number of at least 0, got nan"),

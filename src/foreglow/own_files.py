@@ -237,10 +237,15 @@ def _is_picture(title: str) -> Callable[[Path], bool]:
     return lambda path: has_title(path, title)
 
 
-def _is_calibration(path: Path) -> bool:
+def _is_unchanged(path: Path) -> bool:
+    """Whether a TOML file has the line `with_digest` and nobody changed it since."""
     first, _, rest = _whole(path).encode().partition(b"\n")
     found = re.match(rb"# Written by Foreglow, ([0-9a-f]{16}):", first)
     return found is not None and found[1].decode() == _digest(rest)
+
+
+def _is_range_model(path: Path) -> bool:
+    return _has(tomllib.loads(_whole(path)), "origin", "range_log_sigma", "kinds")
 
 
 def _is_annotation(path: Path) -> bool:
@@ -273,7 +278,9 @@ STAGES, CHECK = "Foreglow: stages of a frame", "Foreglow: check of a calibration
 """Titles of pictures."""
 STAGE_PICTURE = FileKind("a picture of the stages", (".png",), _is_picture(STAGES))
 CHECK_PICTURE = FileKind("a picture of a calibration", (".png",), _is_picture(CHECK))
-CALIBRATION = FileKind("an unchanged calibration", (".toml",), _is_calibration)
+CALIBRATION = FileKind(
+    "an unchanged calibration", (".toml",), lambda path: _is_unchanged(path) and not _is_range_model(path)
+)
 QUALITY = FileKind(
     "figures of `evaluate`",
     (".json",),
@@ -283,9 +290,7 @@ ANNOTATION = FileKind("numbers of `annotate`", (".json",), _is_annotation)
 LABELS = FileKind("unchanged labels", (".xml", ".json"), lambda path: labels_format(path) is not None)
 PREDICTIONS = FileKind("predictions of the same form", (".json",), _is_predictions)
 RANGE_MODEL = FileKind(
-    "a model of the ranges",
-    (".toml",),
-    lambda path: _has(tomllib.loads(_whole(path)), "origin", "range_log_sigma", "kinds"),
+    "an unchanged model of the ranges", (".toml",), lambda path: _is_unchanged(path) and _is_range_model(path)
 )
 MODEL = FileKind("a model", (".onnx",), lambda path: b"\x12\x08foreglow" in _head(path)[:64])
 RECORDING = FileKind(

@@ -39,5 +39,5 @@ def processor_name() -> str:
 
 
 def _git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
+    command = ["git", "--no-optional-locks", "-C", str(root), *arguments]  # looking changes nothing there
     return subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout.strip()

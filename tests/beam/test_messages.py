@@ -248,7 +248,7 @@ def test_what_cannot_be_encoded() -> None:
     with pytest.raises(ValueError, match="expected 84 LEDs a lamp, got 3"):
         encode_levels(BeamCommand.low(0, 3), 0)
     for counter in (-1, 256):
-        with pytest.raises(ValueError, match="counter: expected a whole number (of at least 0|from 0 to 255), got"):
+        with pytest.raises(ValueError, match=r"counter: expected a whole number (of at least 0|from 0 to 255), got"):
             encode_levels(command_of(), counter)
     for ramp_s in (-0.1, 3.1, math.nan):
         with pytest.raises(ValueError, match="ramp_s: expected 0 to 3 s"):

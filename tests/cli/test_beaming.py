@@ -18,7 +18,7 @@ from foreglow import preset, read_config
 from foreglow.cli.beam import lamp_bus
 from foreglow.config import BeamConfig, config_to_toml
 from foreglow.datasets import shipped_drive
-from foreglow.photometry.headlamps import SHIPPED
+from foreglow.photometry.headlamps_file import SHIPPED
 from foreglow.runs.recorded_run import read_frames, read_run
 from foreglow.types import BeamCommand, BeamMode
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names, without_digest

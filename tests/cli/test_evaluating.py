@@ -6,19 +6,23 @@ import codecs
 import dataclasses
 import json
 import os
+import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from foreglow.cli.shared_run import run_in_parallel
 from foreglow.datasets.simulated import BoxShares, shares_path
 from foreglow.datasets.simulated.shares import write_shares
 from foreglow.lab.reports.evaluation_page import REPORT
 from foreglow.lab.reports.page import Page
 from foreglow.runs.frames_file import frame_to_line
 from foreglow.runs.json_lines import LineSink
+from foreglow.runs.summary_file import RunSummary
 from foreglow.types import Frame
 from foreglow.types.kinds import kinds_of_direct
 from tests.cli.commands import RESULTS, complaint, foreglow_command, names
@@ -271,6 +275,20 @@ def test_a_report_never_lies_beside_another_run(
     assert foreglow_command(*evaluate).exit_code == 130
     assert names(out).isdisjoint(REPORT)
     assert names(out) == set(RESULTS)
+
+
+def test_an_interrupted_evaluation_says_what_is_there(
+    tmp_path: Path, split: Path, model: Path, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+
+    def interrupted(*given: Any) -> RunSummary:
+        return dataclasses.replace(run_in_parallel(*given), is_interrupted=True)
+
+    monkeypatch.setattr("foreglow.cli.evaluate.run_in_parallel", interrupted)
+    result = foreglow_command("evaluate", split, "--model", model, "--config", config, "--out", out)
+    assert result.exit_code == 130
+    assert re.search(rf"^interrupted after \d+ images: {out} has these, and no report$", result.stdout, re.MULTILINE)
 
 
 def test_without_a_folder_nothing_is_written(tmp_path: Path, split: Path, model: Path, config: Path) -> None:

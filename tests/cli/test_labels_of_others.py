@@ -163,6 +163,7 @@ def test_labels_whose_times_were_changed_since_the_run(tmp_path: Path) -> None:
     assert re.search(
         rf"^foreglow: {split}: image \d+: expected 0\.056 s after image \d+, as in {run}, got 0\.200 s", said
     )
+    assert complaint("export-mot", run, split, "--out", tmp_path / "mot") == said
 
 
 def test_suggestions_of_another_run(tmp_path: Path) -> None:

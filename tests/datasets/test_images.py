@@ -66,6 +66,21 @@ def test_white_is_what_the_header_of_a_pnm_says(tmp_path: Path, kind: str, white
     assert np.array_equal(image, np.rint(values * (full_scale / white)))
 
 
+@pytest.mark.parametrize("kind", ["P2", "P3"])
+def test_the_last_number_of_a_plain_pnm_may_end_the_file(tmp_path: Path, kind: str) -> None:
+    samples = " ".join(["7"] * 90 * 70 * (3 if kind == "P3" else 1))
+    assert (read_image(written(tmp_path, "a.pnm", f"{kind}\n90 70\n255\n{samples}".encode())) == 7).all()
+    with pytest.raises(ValueError, match="truncated or damaged"):
+        read_image(written(tmp_path, "b.pnm", f"{kind}\n90 70\n255\n{samples[:-2]}".encode()))
+
+
+def test_what_is_brighter_than_the_white_of_a_pnm_is_white(tmp_path: Path) -> None:
+    samples = np.full((70, 90), 300, ">u2")
+    samples[0, :2] = 1023, 65535
+    image = read_image(written(tmp_path, "a.pgm", b"P5\n90 70\n1023\n" + samples.tobytes()))
+    assert image[0, :3].tolist() == [65535, 65535, round(300 * 65535 / 1023)]
+
+
 @pytest.mark.parametrize("white", [b"0", b"65536", b"x"])
 def test_a_pnm_without_a_white_is_refused(tmp_path: Path, white: bytes) -> None:
     path = written(tmp_path, "a.pgm", b"P5\n90 70\n" + white + b"\n" + GREY.tobytes())

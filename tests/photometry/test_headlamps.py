@@ -194,6 +194,16 @@ def test_a_coarse_small_base_is_refined_for_the_leds(tmp_path: Path) -> None:
     np.testing.assert_allclose(leds_cd[1, 0, 1], 20_000 * np.exp(-0.5 * (1.5 / 8) ** 2 - (1.5 / 1.8) ** 2.5), rtol=0.01)
 
 
+@pytest.mark.parametrize("peaks_cd", [(12_000, 9.0, 8_000, 7_000), (12, 9_000, 8, 7), (9.0, 12_000, 8_000)])
+def test_a_file_in_another_unit_than_the_others(tmp_path: Path, peaks_cd: tuple[float, ...]) -> None:
+    """The guard would have thought the LED all but dark, and let it shine."""
+    files = [led_file(tmp_path, f"{k}.ies", -2.0 * k, 0.0, peak_cd) for k, peak_cd in enumerate(peaks_cd)]
+    path = written(tmp_path, POSITIONS.format(left=f"led_files = [{files}]", right=f"led_files = [{files}]"))
+    number = int(np.argmin(peaks_cd) if np.median(peaks_cd) > 100 else np.argmax(peaks_cd))
+    with pytest.raises(ValueError, match=f"left.led_files: LED {number}: .* got {peaks_cd[number]:g}; is its file in"):
+        read_headlamps(path)
+
+
 @pytest.mark.parametrize(
     ("left", "grid", "complaint"),
     [

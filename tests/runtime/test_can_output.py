@@ -237,6 +237,12 @@ def test_other_interfaces(monkeypatch: pytest.MonkeyPatch) -> None:
         CanBus("nonsense:can0")
 
 
+@pytest.mark.parametrize("group", ["10.0.0.1", "255.255.255.255", "::1", "239.74.163.2:43113", "lamps", ""])
+def test_a_group_that_is_none(group: str) -> None:
+    with pytest.raises(ValueError, match=rf"^udp_multicast:{group}: expected the address of a multicast group"):
+        CanBus(f"udp_multicast:{group}")
+
+
 def test_bus_that_does_not_take_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = CanBus("virtual:foreglow-full")
 

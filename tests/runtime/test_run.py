@@ -8,6 +8,8 @@ import json
 import re
 import signal
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +98,31 @@ def test_no_worker_opens_another_model(tmp_path: Path) -> None:
         run_apart(Opening(opened, ()), config, OutputFolder(tmp_path / "out"), Local(), source_name="here")
     assert model.read_bytes() != content
     assert not (tmp_path / "out" / "frames.jsonl").exists()
+
+
+@dataclass(frozen=True)
+class _Options:
+    calibration: Path
+    poses: Path | None = None
+
+
+@pytest.mark.parametrize("is_gone", [False, True])
+def test_no_worker_reads_another_file_beside_the_source(tmp_path: Path, is_gone: bool) -> None:
+    """Calibration, logs and maps: sequences of one run would have been seen with different ones."""
+    file, num_opened = tmp_path / "camera.toml", count(1)
+    file.write_text("one")
+
+    def opened(_: _Options) -> ListSource:
+        if next(num_opened) == 2 and is_gone:
+            file.unlink()
+        elif not is_gone:
+            file.write_text("two")
+        return ListSource(night_frames(2))
+
+    opening, out = Opening(opened, (_Options(file),)), tmp_path / "out"
+    with pytest.raises(ValueError, match=f"^{re.escape(str(file))}: expected the file that the run was begun with"):
+        run_apart(opening, preset("paper"), OutputFolder(out), Local(), source_name="here")
+    assert not (out / "frames.jsonl").exists()
 
 
 def test_writes_one_line_a_frame(tmp_path: Path) -> None:

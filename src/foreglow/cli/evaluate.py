@@ -143,6 +143,7 @@ def _examined_model(
     """All figures of a pipeline that is run on the split; with a `seed`, on disturbed images, too."""
     from foreglow.datasets import open_labelled
     from foreglow.display.progress import ProgressSink
+    from foreglow.display.summary_lines import counted
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.robustness import robustness
     from foreglow.lab.reports.evaluation_page import REPORT
@@ -159,6 +160,8 @@ def _examined_model(
         for name in REPORT:  # of an earlier evaluation there: whatever comes now, it is of another run
             remove_file(folder / name)
         if summary.is_interrupted:
+            if out is not None:
+                typer.echo(f"interrupted after {counted(summary.num_frames, 'image')}: {out} has these, and no report")
             raise KeyboardInterrupt
         found = read_predictions(folder / "frames.jsonl")
     classifier = configuration.classifier

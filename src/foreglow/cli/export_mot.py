@@ -26,7 +26,7 @@ def export_mot(
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import mot, read_predictions
     from foreglow.runs.frames_file import read_tracks
-    from foreglow.runs.labels_of_run import labels_of_run
+    from foreglow.runs.labels_of_run import check_times, labels_of_run
 
     if score:
         importlib.import_module("trackeval")  # fails before anything is written
@@ -35,6 +35,7 @@ def export_mot(
     if labels.doubt is not None:
         raise ValueError(f"{labels.doubt}; expected a run on {split}")
     proposals, tracks = labels.of_images(read_predictions(results)), labels.by_image(read_tracks(results))
+    check_times(run, split, labels.dataset, proposals.times_ns)
     mot.export_mot(labels.dataset, proposals, tracks, out, name, origin=str(results))
     if score:
         scores = mot.score_mot(out, name)

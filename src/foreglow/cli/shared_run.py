@@ -225,7 +225,9 @@ def bits_notes(brightest: int | None, white_level: int | None, means: str = BY_C
     from foreglow.beam.camera_watch import MOST_OF_FEW_BITS
 
     if brightest is not None and white_level is not None and brightest > 2 * white_level:
-        words = "what is brighter counts as white; PGM and PPM files need no white_level, theirs is in their headers"
+        words = (
+            "what is brighter counts as white; videos, PGM and PPM files say theirs themselves and need no white_level"
+        )
         return [f"images of 16 bits, as bright as {brightest}, far beyond the white level of {white_level}: {words}"]
     if brightest is None or brightest > MOST_OF_FEW_BITS or white_level is not None:
         return []

@@ -14,6 +14,7 @@ from foreglow.datasets.exchange import LabelFile, is_labels
 from foreglow.datasets.image_folder import DEFAULT_RATE_HZ, ImageFolder, checked_rate_hz, is_images
 from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.pvdn import PVDN, is_pvdn
+from foreglow.datasets.pvdn.splits import check_finished
 from foreglow.datasets.source import FrameSource, OnError
 from foreglow.datasets.video import Video
 from foreglow.files import checked_path
@@ -90,7 +91,11 @@ def open_source(
     chosen = FORMATS[format_of(path)]
     if topic is not None and not chosen.has_topics:
         raise ValueError(f"{path}: expected a recording, as a topic was named ({topic}), is none")
-    return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, topic=topic))
+    try:
+        return chosen.opened(path, OpenOptions(on_error=on_error, rate_hz=rate_hz, topic=topic))
+    except ValueError:
+        check_finished(path)
+        raise
 
 
 def format_of(path: Path) -> str:
@@ -113,4 +118,5 @@ def open_labelled(path: Path | str, white_level: int | None = None) -> LabelledS
     for each in FORMATS.values():
         if each.labelled is not None and path.exists() and each.is_at(path):
             return each.labelled(path).seen_by(white_level)
+    check_finished(path)
     return PVDN(path)  # raises, and says what is missing

@@ -200,6 +200,8 @@ def at_full_scale(data: bytes) -> tuple[bytes, int | None]:
     """
     if not data.startswith((b"P2", b"P3", b"P5", b"P6")):
         return data, None
+    if data.startswith((b"P2", b"P3")):
+        data += b"\n"  # OpenCV takes a last number that ends the file for a truncated one
     found = _PNM_WHITE.match(data)
     if found is None or not 1 <= int(found[1]) <= _PNM_MAX_WHITE:
         got = "none" if found is None else int(found[1])

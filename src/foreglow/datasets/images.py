@@ -86,9 +86,10 @@ def read_image(path: Path | str) -> Image:
     """The grey image in the file at `path`, shape (height, width), uint8 or uint16.
 
     The file's bit depth is kept; values of 10 or 12 bits in a 16-bit file stay as they are, but those of a PGM or PPM
-    are scaled to 8 or 16 bits, as its header says what white is. Colour becomes grey as in `to_grey`, alpha is dropped
-    (a TIFF with it is refused), an EXIF orientation is applied. `.npy` has an array as `to_grey` takes it, colour in
-    the order R, G, B. JPEG has no checksum: wrong bits that are the code of another picture go unnoticed.
+    are scaled to 8 or 16 bits, as its header says what white is; what is brighter is white. Colour becomes grey as in
+    `to_grey`, alpha is dropped (a TIFF with it is refused), an EXIF orientation is applied. `.npy` has an array as
+    `to_grey` takes it, colour in the order R, G, B. JPEG has no checksum: wrong bits that are the code of another
+    picture go unnoticed.
 
     Raises:
         FileNotFoundError: If there is no such file.

@@ -1,6 +1,7 @@
 """Lamps as lighting engineers describe them: tables of intensity, the illuminance that follows, and built-in lamps."""
 
-from foreglow.photometry.headlamps import Headlamp, Headlamps, matrix_beam, read_headlamps, read_lamp_file
+from foreglow.photometry.headlamps import Headlamp, Headlamps
+from foreglow.photometry.headlamps_file import matrix_beam, read_headlamps, read_lamp_file
 from foreglow.photometry.ies import read_ies
 from foreglow.photometry.intensity import IntensityTable, illuminance_lx
 from foreglow.photometry.lamps import (

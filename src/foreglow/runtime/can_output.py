@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import ipaddress
 import time
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -197,13 +198,17 @@ def open_bus(channel: str, ids: Collection[CanKey] = ()) -> LastingBus:
 
     Raises:
         ModuleNotFoundError: If python-can is not installed (extra `can`).
-        ValueError: If there is no such interface.
+        ValueError: If there is no such interface, or the group of `udp_multicast` is none.
         OSError: If the bus cannot be opened.
     """
     import can
 
     if not isinstance(channel, str) or not channel:
         raise ValueError(f"channel: expected the name of a bus, such as can0 or virtual:name, got {channel!r:.80}")
+    interface, _, group = channel.partition(":")
+    if interface == "udp_multicast" and not _is_multicast(group):
+        wanted = "the address of a multicast group, from 224.0.0.0 to 239.255.255.255 or in ff00::/8"
+        raise ValueError(f"{channel}: expected {wanted}, got {group!r}")
     try:
         return LastingBus(channel, ids)
     except can.CanInterfaceNotImplementedError as error:
@@ -214,6 +219,12 @@ def open_bus(channel: str, ids: Collection[CanKey] = ()) -> LastingBus:
         raise ValueError(
             f"{channel}: expected a bus whose driver is installed and works: {described(error)}"
         ) from error
+
+
+def _is_multicast(address: str) -> bool:
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(address).is_multicast
+    return False
 
 
 class CanBus:

@@ -14,6 +14,7 @@ from typing import Protocol, Self
 
 from foreglow.config import PipelineConfig
 from foreglow.datasets import FrameSource, how_read, lost_parts, part_names, part_of
+from foreglow.files import file_digest
 from foreglow.parallel import Parent, Workers
 from foreglow.pipeline import Pipeline
 from foreglow.provenance import processor_name
@@ -49,6 +50,15 @@ class Opening:
     def paths(self) -> tuple[Path, ...]:
         """The existing files and folders among the arguments."""
         return tuple(_paths_in(self.arguments))
+
+    def digests_beside(self) -> tuple[tuple[Path, str], ...]:
+        """The files beside the source that its options name, such as calibration, logs and maps, with their digests.
+
+        Raises:
+            OSError: If one cannot be read.
+        """
+        beside = _paths_in(argument for argument in self.arguments if dataclasses.is_dataclass(argument))
+        return tuple((path, file_digest(path)) for path in beside if path.is_file())
 
 
 def _paths_in(arguments: Iterable[object]) -> Iterator[Path]:
@@ -119,7 +129,8 @@ def run_apart(
         ChildProcessError: If a sequence cost several processes; the message names it.
         FileNotFoundError: If a worker of a cluster lacks a file.
         ValueError: If an argument is of another kind, a frame is unreadable and the source stops at it, its content is
-            unfit, no frame at all can be read, or the file of the model changed before all workers had opened it.
+            unfit, no frame at all can be read, or the file of the model, or one beside the source, changed before all
+            workers had opened it.
         OSError: If a result cannot be written; the message names the path.
     """
     check_kind("opening", opening, Opening)
@@ -127,11 +138,11 @@ def run_apart(
     check_kind("folder", folder, OutputFolder)
     check_members("workers", workers, "workers, such as foreglow.parallel.Local(jobs)", "each", "num_workers")
     with folder:
-        tally = Tally(config)
+        tally, digests = Tally(config), opening.digests_beside()
         source = opening()
         name, parts = source_name or origin_name(source), folder.make_parts()
         sequences = {sequence or source.name: sequence for sequence in part_names(source)}
-        work = functools.partial(_run_part, opening, config, tally.model_sha256, parts, watcher)
+        work = functools.partial(_run_part, opening, digests, config, tally.model_sha256, parts, watcher)
         paths = (parts, *opening.paths)
         with InterruptFlag() as interrupt:
             done = dict(workers.each(work, sequences, progress, is_stopped=lambda: interrupt.is_set, paths=paths))
@@ -167,6 +178,7 @@ def _each_once(names: Sequence[str | None]) -> str | None:
 
 def _run_part(
     opening: Opening,
+    digests: tuple[tuple[Path, str], ...],
     config: PipelineConfig,
     model_sha256: str | None,
     parts: Path,
@@ -175,7 +187,7 @@ def _run_part(
     parent: Parent,
 ) -> Part:
     """Runs one sequence; its files in `parts` have a new name, so that those of an earlier attempt do no harm."""
-    frames = part_of(_source(opening, parts), sequence)
+    frames = part_of(_source(opening, digests, parts), sequence)
     pipeline, tally, name = _pipeline(config, model_sha256, parts), Tally(), uuid.uuid4().hex
     own = copy.deepcopy(watcher)
     sinks: list[ResultSink] = [*part_sinks(parts, name), _ProgressSink(parent, sequence)]
@@ -189,9 +201,18 @@ def _run_part(
 
 
 @functools.lru_cache(maxsize=1)
-def _source(opening: Opening, parts: Path) -> FrameSource:  # noqa: ARG001
-    """The source, opened once in each run and process: a later run may find other files."""
-    return opening()
+def _source(opening: Opening, digests: tuple[tuple[Path, str], ...], parts: Path) -> FrameSource:  # noqa: ARG001
+    """The source, opened once in each run and process: a later run may find other files.
+
+    Raises:
+        ValueError: If a file beside it has changed since the run was begun: other sequences may have had another one.
+    """
+    source, found = opening(), dict(opening.digests_beside())
+    for path, digest in digests:
+        if found.get(path) != digest:
+            words = "expected the file that the run was begun with, there is another one now"
+            raise ValueError(f"{path}: {words}; repeat the command")
+    return source
 
 
 @functools.lru_cache(maxsize=1)

@@ -196,6 +196,48 @@ def test_points_beyond_the_first_of_an_annotation_are_counted(split: Path, tmp_p
     assert read_labels_file(path).lost == {"further key point of an annotation": 1}
 
 
+@pytest.mark.parametrize("name", ["cvat", "coco"])
+def test_images_may_be_named_by_their_sequence(name: str, split: Path, tmp_path: Path) -> None:
+    """What a first guess for a run on a sequence is about: its names begin with the sequence."""
+    path = tmp_path / f"labels{LABEL_FORMATS[name].suffix}"
+    exported(split / "images/S00001", path, name)
+    alone, beside = (LabelFile(path, images) for images in (split / "images/S00001", split / "images"))
+    assert alone.frame_ids == beside.frame_ids == (5, 7)
+    for image_id in alone.frame_ids:
+        np.testing.assert_array_equal(alone.read(image_id).image, beside.read(image_id).image)
+    with pytest.raises(FileNotFoundError, match="S00003/S00001"):
+        LabelFile(path, split / "images/S00003").read(5)
+
+
+@pytest.mark.parametrize(
+    ("box", "polygons", "point"),
+    [
+        ([], [[10, 20, 30, 20, 30, 26]], (20, 23)),
+        ([0, 0, 0, 0], [[10, 20, 30, 20], [31.5, 30, 4, 2]], (17, 16)),
+        ([40, 40, 4, 4], [[10, 20, 30, 20]], (42, 42)),
+        ([40, 40, 0, 0], [], (40, 40)),
+        ([], [[10, 20, 30]], None),
+        ([], [["a", "b"], [1, 1e400]], None),
+        ([], {"size": [4, 4], "counts": [16]}, None),
+        ([], None, None),
+    ],
+)
+def test_a_polygon_without_a_box_has_its_own(
+    box: object, polygons: object, point: tuple[int, int] | None, tmp_path: Path
+) -> None:
+    common = {"image_id": 1, "category_id": 1}
+    annotations = [common | {"bbox": box, "segmentation": polygons}, common | {"keypoints": [1, 2, 2]}]
+    file = {
+        "images": [{"id": 1, "file_name": "a.png", "width": 96, "height": 72}],
+        "categories": [{"id": 1, "name": "light"}],
+        "annotations": annotations,
+    }
+    (tmp_path / "labels.json").write_text(json.dumps(file).replace("Infinity", "1e400"))
+    found = read_labels_file(tmp_path / "labels.json")
+    assert [mark.position_px for mark in found.images[0].marks] == [*([] if point is None else [point]), (1, 2)]
+    assert bool(found.lost) == (point is None)
+
+
 def test_attributes_of_other_names_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "labels.xml"
     path.write_text(

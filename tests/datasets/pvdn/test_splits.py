@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from foreglow.datasets import split_folder, split_in
+from foreglow.datasets import open_labelled, open_source, shipped_drive, split_folder, split_in
 from foreglow.datasets.pvdn.splits import found_name
+from foreglow.lab.learning.annotation import splits_to_annotate
 
 
 def make_split(path: Path) -> Path:
@@ -61,3 +62,20 @@ def test_what_a_path_stands_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.chdir(split)
     assert found_name(Path()) == str(split.resolve())
     assert found_name(Path("labels.json")) == "labels.json"
+
+
+@pytest.mark.parametrize("inner", ["", "day", "day/train"])
+def test_a_simulation_that_was_interrupted_is_named_as_such(inner: str, tmp_path: Path) -> None:
+    """It was "no such file" of a label file, or a folder without images."""
+    split = tmp_path / "day/train"
+    (split / "simulation").mkdir(parents=True)
+    (split / "simulation/info.json").write_text("{}")
+    expected = pytest.raises(FileNotFoundError, match="day/train: expected a simulated data set that is complete")
+    for read in (open_source, open_labelled, splits_to_annotate):
+        with expected:
+            read(tmp_path / inner)
+    if inner != "day/train":
+        with expected:
+            split_folder(tmp_path / inner, "train")
+    (tmp_path / inner / "1.png").write_bytes(next(shipped_drive().glob("images/*/*")).read_bytes())
+    assert open_source(tmp_path / inner).num_frames == 1, "images of one's own beside it"

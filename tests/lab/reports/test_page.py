@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from foreglow.lab.reports.figures import legend_above, subplots
 from foreglow.lab.reports.page import Figure, Missing, Page, Table, percent
 
 PNG = b"\x89PNG and more"
@@ -91,3 +92,16 @@ def test_pictures_side_by_side() -> None:
     assert "None" not in text
     assert "\n\n### Some\n\n![" in made.markdown()
     assert text.count('<h3>Some</h3><div class="pictures">\n<figure><img alt="A photograph" src="data:image/jpeg;') == 1
+
+
+@pytest.mark.parametrize(("num", "options"), [(6, {}), (8, {}), (8, {"ncols": 8}), (2, {}), (1, {})])
+def test_a_legend_is_no_wider_than_its_figure(num: int, options: dict[str, int]) -> None:
+    """Of a figure with one panel, as where no driver goes ahead, both ends were cut off."""
+    pytest.importorskip("matplotlib")
+    figure, (axes,) = subplots(1, width_in=6.5, height_in=3.8)
+    for number in range(num):
+        axes.plot([0, 1], [0, number], label=f"a configuration {number}")
+    legend_above(figure, axes, **options)
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == num
+    assert legend.get_window_extent().width <= figure.bbox.width

@@ -36,9 +36,7 @@ from foreglow.wording import shortened
 IDS = {kind: index for index, kind in enumerate(Kind, start=1)}
 """Ids of the categories that are written."""
 
-OTHER_FIELDS = frozenset(
-    {"segmentation", "area", "iscrowd", "num_keypoints", "score", "ignore", "group", "group_id", "track_id"}
-)
+OTHER_FIELDS = frozenset({"area", "iscrowd", "num_keypoints", "score", "ignore", "group", "group_id", "track_id"})
 """Fields of an annotation that COCO and its tools write; but for `track_id`, they say nothing of a point."""
 
 OTHER_ATTRIBUTES = frozenset(
@@ -70,13 +68,17 @@ class CocoCategory(Record):
 
 
 class CocoAnnotation(Record):
-    """An annotation; of one without key points, the middle of its box is taken. Some tools leave its id out."""
+    """An annotation; of one without key points, the middle of its box is taken. Some tools leave its id out.
+
+    Of one without a box, or whose box has no size, it is the box of its polygons: some tools write `[]` or zeros.
+    """
 
     image_id: Id
     category_id: Id
     id: Id | None = None
     keypoints: Numbers = ()
     bbox: Numbers = ()
+    segmentation: Any = None
     attributes: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -150,19 +152,33 @@ def _check_ids(records: Sequence[CocoImage | CocoCategory], origin: str) -> None
 
 
 def _point(annotation: CocoAnnotation, origin: str) -> tuple[float, float] | None:
-    """The first key point that is labelled, else the middle of the box."""
+    """The first key point that is labelled, else the middle of the box, else that of the polygons' box."""
     points = annotation.keypoints
     if len(points) % 3:
         raise ValueError(f"{origin}.keypoints: expected x, y, visibility of each, got {len(points)} numbers")
     for x, y, visibility in zip(points[0::3], points[1::3], points[2::3], strict=False):
         if visibility > 0:
             return x, y
+    corners = _corners(annotation.segmentation)
+    if corners and not (len(annotation.bbox) == 4 and any(annotation.bbox[2:])):
+        xs, ys = corners[0::2], corners[1::2]
+        return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
     if len(annotation.bbox) == 4:
         x, y, width, height = annotation.bbox
         if width < 0 or height < 0:
             raise ValueError(f"{origin}.bbox: expected a width and height of at least 0, got {width:g} and {height:g}")
         return x + width / 2, y + height / 2
     return None
+
+
+def _corners(segmentation: object) -> list[float]:
+    """The corners, x and y in turn, of COCO's polygons; empty without any, such as for a mask."""
+    polygons = segmentation if isinstance(segmentation, list) else []
+    if not all(isinstance(polygon, list) and len(polygon) % 2 == 0 for polygon in polygons):
+        return []
+    numbers = [each for polygon in polygons for each in polygon]
+    is_plain = all(type(each) in (int, float) and abs(each) <= MAX_NUMBER for each in numbers)
+    return numbers if is_plain else []
 
 
 def _mark(kind: Kind, position_px: tuple[int, int], given: Mapping[str, Any], origin: str, track: object) -> Mark:

@@ -421,9 +421,13 @@ class LabelFile(LabelledSource):
             return given.parent, Video(given, on_error="mark" if self.on_error == "mark" else "skip")
         if given is not None and not given.is_dir():
             raise FileNotFoundError(f"{given}: no such folder, expected the images of {self.path}")
-        if given is not None:
-            return given, None
         first = self.labels.images[0].name
+        if given is not None:
+            above = f"{given.resolve().name}/"
+            is_elsewhere = not (self.labels.is_video or (given / first).exists())
+            if is_elsewhere and all(image.name.startswith(above) for image in self.labels.images):
+                return given.resolve().parent, None  # of a sequence with whose name theirs begin
+            return given, None
         for place in PLACES:
             if not self.labels.is_video and (self.root / place / first).is_file():
                 return self.root / place, None

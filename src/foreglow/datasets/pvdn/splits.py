@@ -45,6 +45,8 @@ def split_folder(data: Path | str, name: SplitName) -> Path:
     check_is_folder(root, "a data set with train, val and test")
     found = sorted(path for path in (root / name, *root.glob(f"*/{name}")) if is_split(path))
     if not found:
+        for folder in (root / name, *root.glob(f"*/{name}")):
+            check_finished(folder)
         raise FileNotFoundError(f"{root}: expected the split {name} in it, or in one of its folders, found none")
     if len(found) > 1:
         cycles = ", ".join(str(path.parent) for path in found)
@@ -88,6 +90,22 @@ def is_split(folder: Path | str) -> bool:
     return (folder / "labels" / "sequences.json").exists() or (
         (folder / "labels" / "image_annotations.json").exists() and (folder / "images").is_dir()
     )
+
+
+def check_finished(folder: Path) -> None:
+    """Passes a folder unless it, or one in it, is a split that the simulator has begun and that has no labels yet.
+
+    Raises:
+        FileNotFoundError: If it is; the message says what completes it.
+    """
+    for above in ("", "[!.]*/", "[!.]*/[!.]*/"):
+        for info in folder.glob(f"{above}simulation/info.json"):
+            split = info.parents[1]
+            if not is_split(split):
+                raise FileNotFoundError(
+                    f"{split}: expected a simulated data set that is complete, it was interrupted or is still being "
+                    "made; `foreglow simulate` with the same options goes on with it"
+                )
 
 
 def is_pvdn(path: Path | str) -> bool:

@@ -23,7 +23,7 @@ from foreglow.datasets import PVDN, LabelledSource, split_folder
 from foreglow.datasets.json_files import json_bytes, read_json
 from foreglow.datasets.pvdn import is_split
 from foreglow.datasets.pvdn.schema import BoxLabels, Sequence
-from foreglow.datasets.pvdn.splits import SPLIT_NAMES, existing_splits
+from foreglow.datasets.pvdn.splits import SPLIT_NAMES, check_finished, existing_splits
 from foreglow.files import checked_path, to_json
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.evaluation import BoxQuality, annotation_quality
@@ -177,6 +177,7 @@ def splits_to_annotate(data: Path | str, names: tuple[str, ...] = ()) -> tuple[P
         return tuple(split_folder(root, name) for name in SPLIT_NAMES if name in names)
     found = existing_splits(root)
     if not found:
+        check_finished(root)
         raise FileNotFoundError(f"{root}: expected a split, or a data set with train, val or test")
     return tuple(found.values())
 

@@ -42,6 +42,7 @@ from foreglow.geometry import Floats
 from foreglow.lab.evaluation.boxes.matching import smallest_box
 from foreglow.lab.evaluation.ratios import ratios
 from foreglow.lab.learning.apart import check_apart
+from foreglow.own_files import with_digest
 from foreglow.proposals import make_proposer
 from foreglow.types import Detections
 from foreglow.whole_files import write_atomic
@@ -113,12 +114,12 @@ def fit_ranges(data: Path, config: PipelineConfig, *, seed: int = 0, progress: P
 
 
 def write_hypotheses(path: Path, model: Hypotheses) -> None:
-    """Writes `model` as TOML for `read_hypotheses`.
+    """Writes `model` as TOML for `read_hypotheses`, with a first line by which a change by hand is known.
 
     Raises:
         OSError: If it cannot be written.
     """
-    write_atomic(path, tomli_w.dumps(model.model_dump()).encode())
+    write_atomic(path, with_digest(tomli_w.dumps(model.model_dump())).encode())
 
 
 def ranged_views(root: Path, config: PipelineConfig, progress: Progress | None = None) -> Iterator[RangedView]:

@@ -78,11 +78,16 @@ def show_image(axes: Any, image: NDArray[Any], title: str, **how: Any) -> None:
 
 
 def legend_above(figure: Any, axes: Any, **options: Any) -> None:
-    """Puts the legend of `axes` above all axes, in rows of up to `MOST_IN_A_ROW` unless `options` say otherwise."""
+    """Puts the legend of `axes` above all axes, in rows of up to `MOST_IN_A_ROW` that are no wider than the figure."""
     handles, labels = axes.get_legend_handles_labels()
     num_rows = max(math.ceil(len(labels) / MOST_IN_A_ROW), 1)
-    settings = {"frameon": False, "ncols": max(math.ceil(len(labels) / num_rows), 1)} | options
-    figure.legend(handles, labels, loc="outside upper center", **settings)
+    most = options.pop("ncols", max(math.ceil(len(labels) / num_rows), 1))
+    for num_columns in range(most, 0, -1):
+        settings = {"frameon": False, "ncols": num_columns} | options
+        legend = figure.legend(handles, labels, loc="outside upper center", **settings)
+        if num_columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def png(figure: Any) -> bytes:

@@ -14,7 +14,7 @@ from foreglow.lab.studies.glare import simulate as driving
 from foreglow.lab.studies.glare.run import GlarePlan, run_experiment
 from foreglow.models import BUNDLED, model_path
 from foreglow.parallel import Local
-from foreglow.photometry.headlamps import SHIPPED
+from foreglow.photometry.headlamps_file import SHIPPED
 from tests.lab.studies.detector_data import make_model
 from tests.lab.studies.glare_scenes import scene, write_scenes_of
 

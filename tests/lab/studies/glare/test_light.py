@@ -13,7 +13,7 @@ from foreglow.lab.simulation.scenes.scenarios import mirrored
 from foreglow.lab.simulation.scenes.scene import EgoSpec, RoadSpec
 from foreglow.lab.studies.glare.light import OurLight, seen_lamps
 from foreglow.photometry import NUM_LEDS, read_headlamps
-from foreglow.photometry.headlamps import SHIPPED
+from foreglow.photometry.headlamps_file import SHIPPED
 from tests.lab.studies.glare_scenes import first_frame, scene
 
 pytestmark = [pytest.mark.renderer, pytest.mark.slow]

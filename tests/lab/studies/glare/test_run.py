@@ -26,7 +26,7 @@ from foreglow.lab.studies.glare.run import GlarePlan, NamedScene, named_scenes, 
 from foreglow.lab.studies.glare.simulate import Setting, settings_of
 from foreglow.parallel import Local
 from foreglow.photometry import NUM_LEDS, Headlamps
-from foreglow.photometry.headlamps import SHIPPED
+from foreglow.photometry.headlamps_file import SHIPPED
 from foreglow.types import BeamCommand, BeamMode, Frame, Tracks
 from tests.lab.studies.detector_data import make_model
 from tests.lab.studies.glare_scenes import AHEAD, scene, write_scenes_of
@@ -64,8 +64,10 @@ def test_a_small_experiment_and_its_resumption(tmp_path: Path, monkeypatch: pyte
     assert len(told) == 2  # both are there
     assert to_json(again.results) == to_json(experiment.results)
     other = PipelineConfig(**(config().model_dump() | {"beam": BeamConfig(margin_deg=2.0).model_dump()}))
-    with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
+    with pytest.raises(ValueError, match=r"plan\.json: expected the configurations as they were here before"):
         run_experiment(scenes, other, plan, out, progress=lambda *_: None)
+    with pytest.raises(ValueError, match=r"plan\.json: plan\.quality: expected 'fast' as here before, got 'fine'"):
+        run_experiment(scenes, config(), plan.model_copy(update={"quality": "fine"}), out, progress=lambda *_: None)
     told.clear()
     scenes = write_scenes_of(tmp_path / "other", scene(run_in_s + 4 / 18, seed=5))
     with pytest.raises(ValueError, match=r"plan\.json: scenes: expected S00001 as it was here before"):
@@ -148,7 +150,7 @@ def test_further_cars_drive_at_the_same_time(tmp_path: Path, monkeypatch: pytest
     experiment = run_experiment(scenes, cars, plan, tmp_path / "out", progress=lambda *_: None)
     assert [policy.name for policy in experiment.results.policies][-2:] == ["wide", "dark"]
     again = GlarePlan(quality="fast", also=(wide,))
-    with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
+    with pytest.raises(ValueError, match=r"plan\.json: plan\.also: expected .*wide.* as here before, got .*wide"):
         run_experiment(scenes, cars, again, tmp_path / "out", progress=lambda *_: None)
     oracle = tmp_path / "oracle.toml"
     oracle.write_text("")
@@ -230,7 +232,9 @@ def test_a_folder_is_of_one_paper_chain(tmp_path: Path) -> None:
     for given in (None, None):
         with pytest.raises(KeyboardInterrupt):
             begin(given)
-    with pytest.raises(ValueError, match=r"plan\.json: expected the configuration and delays of this run"):
+    with pytest.raises(
+        ValueError, match=r"plan\.json: plan\.paper_model: expected None as here before, got .*all\.onnx"
+    ):
         begin(model)
 
 

@@ -26,7 +26,7 @@ from foreglow.lab.studies.reproduction.page import NOT_PVDN, answers, write_page
 from foreglow.lab.studies.reproduction.plan import ReproductionPlan
 from foreglow.lab.studies.reproduction.run import Outcome, run_experiments
 from foreglow.outputs import check_outputs, running
-from foreglow.photometry.headlamps import SHIPPED
+from foreglow.photometry.headlamps_file import SHIPPED
 from tests.cli.commands import complaint, foreglow_command
 from tests.lab.studies.detector_data import make_model
 from tests.lab.studies.ranged_drives import make_split

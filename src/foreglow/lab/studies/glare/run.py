@@ -37,6 +37,7 @@ from foreglow.lab.studies.paper_chain import paper_chain
 from foreglow.parallel import Local, Parent, Workers
 from foreglow.provenance import provenance
 from foreglow.whole_files import together, write_atomic
+from foreglow.wording import shortened
 
 DRIVES = "drives"
 """Folder of the scenes that are finished."""
@@ -46,6 +47,9 @@ PLAN, CONFIG = "plan.json", "config.toml"
 
 NUM_LONG, LONG_SEED = 24, 41
 """How many long drives there are of a split, unless told otherwise, and the seed that they are drawn with."""
+
+WHAT_DECIDES = ("quality", "delays", "camera", "paper_model", "also")
+"""Fields of a plan that decide what a finished scene holds, as the configuration does."""
 
 
 class GlarePlan(FrozenModel):
@@ -229,10 +233,11 @@ def _check_rates(wanted: Sequence[NamedScene], configs: Sequence[PipelineConfig]
 
 
 class _Claimed(Record):
-    """What `plan.json` says: digests of the whole, of models and other files of the configurations, and of scenes; and
-    which version drove them, with all commits of it that did.
+    """What `plan.json` says: the plan; digests of the whole, of models and other files of the configurations, and of
+    scenes; and which version drove them, with all commits of it that did.
     """
 
+    plan: dict[str, Any] = Field(default_factory=dict)
     digest: str = ""
     version: str = ""
     commits: list[str | None] = Field(default_factory=list)
@@ -267,7 +272,12 @@ def _claim(
             )
         commits = list(dict.fromkeys([*known.commits, *commits]))
         if known.digest != about["digest"]:
-            raise ValueError(f"{file}: expected the configuration and delays of this run; choose another folder")
+            for name in WHAT_DECIDES:
+                before, now = known.plan.get(name, about["plan"][name]), about["plan"][name]
+                if before != now:
+                    words = f"expected {shortened(before)} as here before, got {shortened(now)}"
+                    raise ValueError(f"{file}: plan.{name}: {words}; choose another folder")
+            raise ValueError(f"{file}: expected the configurations as they were here before; choose another folder")
         for kind, digests, before in (("models", files, known.models), ("scenes", scenes, known.scenes)):
             other = next((name for name in digests if before.get(name, digests[name]) != digests[name]), None)
             if other is not None:
