@@ -21,10 +21,10 @@ from pydantic.fields import FieldInfo
 from foreglow.calibration.ros import _File as RosCalibration
 from foreglow.calibration.values import Intrinsics, Mount
 from foreglow.config import FrozenModel, PipelineConfig
+from foreglow.datasets.simulated.production import ProductionConfig
 from foreglow.datasets.vehicle_logs.mapping import CanMapping
 from foreglow.lab.learning.recipes import Recipe
 from foreglow.lab.simulation.camera.profile import CameraProfile
-from foreglow.lab.simulation.labels.production import ProductionConfig
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.writing.lidar import LidarConfig
 from foreglow.lab.simulation.writing.street_data import StreetDataError

@@ -1,7 +1,8 @@
 """Simulated drives: PVDN's format with the truth beside it, read and written; nothing here needs the simulator.
 
 `truth` has the types of the truth, `files` writes and reads them (its docstring lists the files), `vehicle` is the part
-of it that a car knows, too, and `lux` the light of our headlamps at other drivers' eyes.
+of it that a car knows, too, `lux` the light of our headlamps at other drivers' eyes, and `production` when the modelled
+production system reports a vehicle.
 """
 
 from foreglow.datasets.simulated.files import SequenceTruth, SimulatedTruth, has_truth, read_truth, shares_path

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foreglow.config import validated
 from foreglow.datasets import CategoryConfig, LabelledSource
 from foreglow.datasets.simulated import has_truth, read_truth
+from foreglow.datasets.simulated.production import ProductionConfig, first_reports
 from foreglow.files import fields_to_json
 from foreglow.lab.evaluation.boxes.breakdown import LightMatches, SplitLabels
 from foreglow.lab.evaluation.boxes.matching import lies_in
@@ -101,7 +103,7 @@ class Encounter:
         vehicle: Its kind: car, van, lorry, motorcycle; `vehicle` where unknown.
         light_s: Its first annotated artifact.
         sight_s: Its first annotated lamp.
-        production_s: First report of the production system.
+        production_s: The production system's first report of it; of a drive that is not simulated, of any vehicle.
         duration_s: The sequence's last image.
     """
 
@@ -176,13 +178,18 @@ def read_encounters(
 def vehicle_facts(
     dataset: LabelledSource, sequence_id: int, vehicle_id: int, categories: CategoryConfig | None = None
 ) -> tuple[str, str, float]:
-    """Scenario, kind of the vehicle, and when the production system first reports a vehicle; see `Encounter`."""
+    """Scenario, kind of the vehicle, and when the production system first reports it; see `Encounter`.
+
+    Of a drive that is not simulated nobody knows which vehicle it reports: the first one counts.
+    """
     scenario, kind = "", UNKNOWN_VEHICLE
     if has_truth(dataset.root):
-        truth = read_truth(dataset.root).sequence(sequence_id)
+        split = read_truth(dataset.root)
+        truth = split.sequence(sequence_id)
+        system = validated(ProductionConfig, split.info.production, f"{split.root}: simulation/info.json: production")
         vehicles = (vehicle for frame in truth.frames for vehicle in frame.vehicles)
         kind = next((vehicle.kind for vehicle in vehicles if vehicle.vehicle_id == vehicle_id), UNKNOWN_VEHICLE)
-        reported = next((frame.image_id for frame in truth.frames if frame.is_production_detected), None)
+        reported = first_reports(truth.frames, system).get(vehicle_id)
         scenario = truth.scenario
     else:
         sequence = next(sequence for sequence in dataset.sequences if sequence.id == sequence_id)

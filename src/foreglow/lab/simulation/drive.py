@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from foreglow.config import preset
 from foreglow.datasets.simulated import LampTruth, VehicleTruth
 from foreglow.datasets.simulated.light_maps import reduced
+from foreglow.datasets.simulated.production import ProductionSystem
 from foreglow.datasets.simulated.shares import BoxShares, load_arrow
 from foreglow.geometry import Camera, Floats, Pose, rotation
 from foreglow.lab.simulation.camera.exposure import Exposure, Imager
@@ -25,7 +26,6 @@ from foreglow.lab.simulation.camera.windscreen import Windscreen
 from foreglow.lab.simulation.drive_frame import DriveFrame
 from foreglow.lab.simulation.labels.categories import ImageCategories
 from foreglow.lab.simulation.labels.instances import Annotator
-from foreglow.lab.simulation.labels.production import ProductionSystem
 from foreglow.lab.simulation.labels.shares import box_shares
 from foreglow.lab.simulation.light.render import QUALITIES
 from foreglow.lab.simulation.moment import Moment, Moments

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
 from pathlib import Path
 
 import pytest
 
 from foreglow.datasets import PVDN, CategoryConfig, ImageCategory, shipped_drive
+from foreglow.datasets.simulated import read_truth
+from foreglow.datasets.simulated.production import first_reports
 from foreglow.files import to_json
 from foreglow.lab.evaluation.boxes.breakdown import match_lights, read_split_labels
 from foreglow.lab.evaluation.vehicles import Encounter, first_found, read_encounters
@@ -57,6 +61,23 @@ def test_a_simulated_encounter_knows_scenario_and_vehicle() -> None:
     (only,) = read_encounters(dataset, read_split_labels(dataset))
     assert (only.scenario, only.vehicle) == ("curve", "car")
     assert only.light_s < only.sight_s < only.production_s < only.duration_s
+
+
+def test_the_report_of_another_vehicle_is_none_of_the_first(tmp_path: Path) -> None:
+    """A second vehicle is where the first one will be a second later, so that the system reports it before."""
+    root = tmp_path / "drive"
+    shutil.copytree(shipped_drive(), root)
+    file = root / "simulation/S00001/frames.jsonl"
+    frames = [json.loads(line) for line in file.read_text().splitlines()]
+    for frame, later in zip(frames, [*frames[18:], *frames[-1:] * 18], strict=True):
+        frame["vehicles"] = [*frame["vehicles"][:1], {**later["vehicles"][0], "vehicle_id": 1}]
+    file.write_text("\n".join(json.dumps(frame) for frame in frames) + "\n")
+    reports = first_reports(read_truth(root).sequence(1).frames)
+    assert reports[1] == reports[0] - 18
+    ((only,), (before,)) = (
+        read_encounters(dataset, read_split_labels(dataset)) for dataset in (PVDN(root), PVDN(shipped_drive()))
+    )
+    assert (only.vehicle_id, only.production_s) == (0, before.production_s)
 
 
 def encounter(light_s: float, sight_s: float, production_s: float) -> Encounter:

@@ -34,10 +34,10 @@ from foreglow.datasets.simulated.files import (
     sequence_name,
     write_info,
 )
+from foreglow.datasets.simulated.production import ProductionConfig
 from foreglow.folder_lock import FolderLock
 from foreglow.lab.simulation.camera.profile import CameraProfile
 from foreglow.lab.simulation.drive_frame import DriveFrame
-from foreglow.lab.simulation.labels.production import ProductionConfig
 from foreglow.lab.simulation.scenes.lamp_files import lamp_digests
 from foreglow.lab.simulation.scenes.scene import Scene
 from foreglow.lab.simulation.variants import AS_IT_IS, draw_variants

@@ -47,7 +47,7 @@ class Story:
         sight: Its first lamp; None if it never comes into sight.
         confirmed_s: When the box of a plausible track, or of one of a confirmed vehicle, first holds its light; NaN if
             none ever does, or nothing was tracked.
-        production_s: When the production system first reports a vehicle; NaN if it never does.
+        production_s: When the production system first reports it (`vehicle_facts`); NaN if it never does.
         duration_s: From the first image of the sequence to the last.
         num_images_before: Images of the sequence before the first light.
         num_boxes_before: Accepted boxes in them that hold no light at all, not even doubtful light.

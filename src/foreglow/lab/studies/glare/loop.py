@@ -15,11 +15,11 @@ from foreglow.beam.messages import CommandEncoder
 from foreglow.beam.receiver import LampReceiver, ReceiverConfig
 from foreglow.config import BeamConfig, DistanceConfig, FrozenModel, PipelineConfig, TrackerConfig
 from foreglow.datasets.simulated import VehicleTruth
+from foreglow.datasets.simulated.production import ProductionSystem
 from foreglow.geometry import Floats
 from foreglow.lab.evaluation.occurrence import is_coming
 from foreglow.lab.simulation import DriveFrame, Scene, side_by_side, with_beam
 from foreglow.lab.simulation.camera.profile import CameraProfile
-from foreglow.lab.simulation.labels.production import ProductionSystem
 from foreglow.photometry import NUM_LEDS, Headlamps, read_headlamps
 from foreglow.pipeline import Pipeline
 from foreglow.types import BeamCommand, FrameResult

@@ -69,8 +69,8 @@ class Experiment:
 
 def _settings(plan: ReproductionPlan, folder: Path, workers: Workers, progress: Progress) -> None:  # noqa: ARG001
     """What the paper states of its settings, as they are here."""
+    from foreglow.datasets.simulated.production import ProductionConfig
     from foreglow.lab.learning.recipes import recipe
-    from foreglow.lab.simulation.labels.production import ProductionConfig
     from foreglow.photometry import read_headlamps
 
     paper = recipe("paper")

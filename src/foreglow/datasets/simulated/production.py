@@ -8,11 +8,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from foreglow.datasets.simulated import VehicleTruth
-from foreglow.lab.simulation.scenes.surroundings import Factor, FactorOrNone, SpecModel
+from foreglow.config import FrozenModel
+from foreglow.datasets.simulated.truth import FrameTruth, VehicleTruth
 
 
-class ProductionConfig(SpecModel):
+class ProductionConfig(FrozenModel):
     """When the modelled production system reports a vehicle.
 
     The thresholds of such systems are not published; the defaults do not make the model slow in our favour.
@@ -33,8 +33,8 @@ class ProductionConfig(SpecModel):
         release_s: A vehicle stays reported for this long after its last sight, since the beam is only restored then.
     """
 
-    min_grey: Factor = 40.0
-    min_illuminance_lx: FactorOrNone = 0.002
+    min_grey: Annotated[float, Field(gt=0, le=1_000_000)] = 40.0
+    min_illuminance_lx: Annotated[float, Field(ge=0, le=1000)] = 0.002
     min_visible: Annotated[float, Field(ge=0, le=1)] = 0.5
     confirm_frames: Annotated[int, Field(ge=1, le=1000)] = 5
     rate_hz: Annotated[float, Field(gt=0, le=1000)] = 18.0
@@ -98,3 +98,15 @@ class ProductionSystem:
         # Photometric distance law, for lamps that are seen head-on.
         illuminance_lx = sum(lamp.intensity_cd * lamp.visible_share for lamp in in_sight) / vehicle.range_m**2
         return grey >= self.config.min_grey and illuminance_lx >= self.config.min_illuminance_lx
+
+
+def first_reports(frames: Iterable[FrameTruth], config: ProductionConfig | None = None) -> dict[int, int]:
+    """By vehicle, the id of the first image with which the system reports it, of a drive that was simulated.
+
+    `FrameTruth.is_production_detected` says in which images it reports any vehicle.
+    """
+    system, found = ProductionSystem(config), dict[int, int]()
+    for frame in frames:
+        for vehicle_id in system.update(frame.timestamp_ns, frame.vehicles):
+            found.setdefault(vehicle_id, frame.image_id)
+    return found

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from foreglow.datasets.simulated import VehicleTruth
-from foreglow.lab.simulation.labels.production import ProductionConfig, ProductionSystem
+from foreglow.datasets.simulated.production import ProductionConfig, ProductionSystem
 from tests.lab.simulation.truths import artifact, lamp, lamp_artifact, vehicle
 
 FRAME_NS = 50_000_000
