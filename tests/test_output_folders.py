@@ -20,6 +20,7 @@ from foreglow.outputs import check_outputs, running
 from foreglow.own_folders import KINDS, TRAINING, TUNING, check_no_parts, check_own
 from foreglow.runs.folder import OutputFolder
 from foreglow.runs.tally import Tally
+from foreglow.whole_files import claim_path, write_atomic
 from tests.cli.commands import PNG, complaint, foreglow_command
 from tests.datasets.tiny_pvdn import make_pvdn
 from tests.stand_ins import REFERENCE
@@ -65,6 +66,58 @@ def test_the_lock_dies_with_its_process(writer: subprocess.Popen[Any], image: Pa
     writer.wait()
     result = foreglow_command("run", image, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.stderr
+
+
+def test_a_file_is_written_by_one(tmp_path: Path) -> None:
+    path = tmp_path / "run.html"
+    with locked({}, {"--out": path}):
+        with pytest.raises(ValueError, match=r"run\.html: another run is writing this file"), locked({}, {"RUN": path}):
+            pass
+        with locked({}, {"--out": tmp_path / "another.html"}):
+            write_atomic(path, b"whole")  # what clears the folder leaves what is locked
+        with pytest.raises(ValueError, match="another run"), locked({}, {"--out": path}):
+            pass
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_killed_writer_left_locks_nothing_and_goes(tmp_path: Path) -> None:
+    path = tmp_path / "run.html"
+    claim_path(path).touch()
+    claim_path(tmp_path / "old.html").touch()
+    with locked({}, {"--out": path}):
+        assert list(tmp_path.iterdir()) == [claim_path(path)]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (("report", "RUN"), "RUN/report.html"),
+        (("report", "RUN", "--out", "OUT.html"), "OUT.html"),
+        (("stages", "IMAGE", "--out", "OUT.png"), "OUT.png"),
+        (("record", "IMAGE", "--out", "OUT.mcap"), "OUT.mcap"),
+        (("run", "IMAGE", "--out", "NEW", "--record", "OUT.mcap"), "OUT.mcap"),
+    ],
+)
+def test_a_file_that_another_command_writes_is_refused_before_any_work(
+    tmp_path: Path, image: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert foreglow_command("run", image, "--out", "RUN").exit_code == 0
+    with locked({}, {"--out": tmp_path / name}):
+        assert f"{name}: another run is writing this file" in complaint(
+            *(str(image) if word == "IMAGE" else word for word in words)
+        )
+    assert not Path(name).exists()
+    assert not Path("NEW").exists()
+    done = foreglow_command(*(str(image) if word == "IMAGE" else word for word in words))
+    assert done.exit_code == 0, done.output
+    assert not list(tmp_path.rglob(".*.tmp"))
+
+
+def test_a_report_on_no_run_says_so(tmp_path: Path) -> None:
+    assert "gone/frames.jsonl: no such file, expected the folder of a run" in complaint("report", tmp_path / "gone")
+    assert not list(tmp_path.iterdir())
 
 
 def test_empty_folders_go_again(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
     Each parameter whose type is a dataclass becomes one option per field. In the help, the options of such a group
     stand together, under the first line of the dataclass's docstring. No file or folder that the command writes may be
-    one that it reads, and a folder that it writes into is locked while it runs, unless it is shared.
+    one that it reads, and what it writes, or writes into, is locked while it runs, unless it is a shared folder.
     """
     hints = typing.get_type_hints(function, include_extras=True)
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)}
@@ -176,7 +176,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
             for name, group in groups.items():
                 values[name] = group(**{field.name: values.pop(field.name) for field in dataclasses.fields(group)})
             with contextlib.ExitStack() as around:
-                around.enter_context(locked(folders))
+                around.enter_context(locked(folders, files))
                 for group in values.values():
                     if isinstance(group, Naming):
                         around.enter_context(group.naming())

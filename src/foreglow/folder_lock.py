@@ -1,4 +1,4 @@
-"""One writer at a time: folders that a command writes into are locked, and the lock dies with its process."""
+"""One writer at a time: what a command writes into or to is locked, and the lock dies with its process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 
-from foreglow.whole_files import entered
+from foreglow.whole_files import claim_path, clear, entered, naming
 
 _OF_COMMAND: set[Path] = set()
 """Folders that the command of this process has locked; what it does there needs no lock of its own."""
@@ -114,14 +114,50 @@ def check_folder(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def locked(folders: Mapping[str, Path]) -> Iterator[None]:
-    """Holds the folders that a command writes into for itself, until the block ends.
+def locked(folders: Mapping[str, Path], files: Mapping[str, Path] | None = None) -> Iterator[None]:
+    """Holds what a command writes into, and the single files that it writes, for itself until the block ends.
 
     Raises:
-        ValueError: If another command is writing into one of them; the message names it.
-        OSError: If one cannot be made.
+        ValueError: If another command is writing into one of the folders, or at work on one of the files; the message
+            names it.
+        OSError: If a folder cannot be made, or nothing be written beside a file.
     """
     with contextlib.ExitStack() as locks:
         for path in folders.values():
             locks.enter_context(entered(functools.partial(FolderLock, path, is_of_command=True)))
+        for path in (files or {}).values():
+            if path.parent.is_dir():  # else what writes the file says what is wrong
+                locks.enter_context(entered(functools.partial(_claimed, path)))
         yield
+
+
+@contextlib.contextmanager
+def _claimed(path: Path) -> Iterator[None]:
+    """The right to write one file, as `FolderLock`; a hidden file beside it is locked, and removed at the end."""
+    clear(path.parent)
+    claim = claim_path(path.absolute())
+    with contextlib.ExitStack() as held:
+        with naming(path, in_place_of=claim):
+            descriptor = _opened(claim, held)
+            while (is_ours := lock(descriptor)) and not _is_at(claim, descriptor):  # whose it was has removed it
+                descriptor = _opened(claim, held)
+        if not is_ours:
+            raise ValueError(f"{path}: another run is writing this file; expected one of its own")
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                claim.unlink(missing_ok=True)
+
+
+def _opened(path: Path, held: contextlib.ExitStack) -> int:
+    """A file, made if it is not there, which may be somebody else's; open until `held` ends."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+    held.callback(os.close, descriptor)
+    return descriptor
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    with contextlib.suppress(FileNotFoundError):
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    return False

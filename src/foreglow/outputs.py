@@ -135,7 +135,7 @@ def _result_with(path: Path) -> Path | None:
 
 
 def _check_place(name: str, path: Path) -> None:
-    """ValueError if no file can be written at `path`; a report makes its folder."""
+    """ValueError if no file can be written at `path`."""
     folder = path.parent
     if folder.is_dir():
         try:
@@ -147,7 +147,7 @@ def _check_place(name: str, path: Path) -> None:
             raise ValueError(f"{name} {path}: Permission denied: expected a folder that one may write into")
     elif folder.exists():
         raise ValueError(f"{name} {path}: expected a file in a folder, {folder} is none")
-    elif path.suffix != ".html":
+    else:
         raise ValueError(f"{name} {path}: No such file or directory: expected a folder {folder} that is there")
 
 

@@ -18,6 +18,9 @@ from typing import Any, BinaryIO, TypeAlias, TypeVar
 _TEMPORARY = re.compile(r"\..+\.([1-9]\d{0,8})(-\d+)?\.tmp", re.DOTALL)
 """Name of a hidden file that is being written, with the process that writes it."""
 
+NO_PROCESS = 999_999_999
+"""Greater than the number of any process: what has it in its name is removed as soon as nobody holds its lock."""
+
 PARTIAL = ".partial"
 """How the name of a file ends until it is whole, if it is written over a longer time; so it is found after a kill."""
 
@@ -107,7 +110,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     if path.exists() and not (path.is_file() or path.is_dir()):  # a folder cannot be overwritten anyway
         raise OSError(f"{path}: expected a regular file to overwrite, got a device, a pipe or a socket")
-    _clear(path.parent)
+    clear(path.parent)
     whole = path.absolute()  # a plug-in may go to another folder meanwhile
     temporary = whole.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.tmp")
     try:
@@ -308,7 +311,7 @@ def is_temporary(path: Path) -> bool:
     return _TEMPORARY.fullmatch(path.name) is not None
 
 
-def _clear(folder: Path) -> None:
+def clear(folder: Path) -> None:
     """Removes the temporary files in `folder` whose process is gone; once per folder is enough."""
     if folder in _CLEARED:
         return
@@ -370,6 +373,15 @@ def naming(path: Path, *, in_place_of: Path | None = None) -> Iterator[None]:
 def partial_path(path: Path) -> Path:
     """Where a file of a run, or a recording, is written until it is whole."""
     return path.with_name(f"{path.name}{PARTIAL}")
+
+
+def claim_path(path: Path) -> Path:
+    """A hidden file that is locked while a command is at work on `path`; a killed one's goes as temporary files do.
+
+    >>> claim_path(Path("data/run.html")).name, is_temporary(claim_path(Path("data/run.html")))
+    ('.run.html.999999999.tmp', True)
+    """
+    return path.with_name(f".{path.name}.{NO_PROCESS}.tmp")
 
 
 def check_replaceable(path: Path) -> None:

@@ -10,6 +10,7 @@ import json
 import math
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ from foreglow.lab.learning.recipes import RECIPES, read_recipe
 from foreglow.lab.learning.training import curves_csv
 from foreglow.lab.learning.training_progress import Epoch, TrainingBar
 from foreglow.lab.learning.training_run import TEXTS, train_model
-from foreglow.lab.reports.training_pictures import draw_curves
+from foreglow.lab.reports import training_pictures
+from foreglow.lab.reports.training_pictures import draw_curves, draw_training
 from foreglow.options import PipelineOptions
 from foreglow.pipeline import Pipeline
 from foreglow.runs.predictions import Predictions
@@ -117,6 +119,24 @@ def test_a_model_is_trained_exported_and_run(data: Path, tmp_path: Path, options
     # One light a box here, so boxes and lights count alike: the pipeline finds what validation promised.
     assert quality.f1 == pytest.approx(summary["validation"]["f1"])
     assert quality.recall > 0.8
+
+
+def test_the_summary_appears_last(tmp_path: Path, options: list[object], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says that the training is complete: what was killed before lacks it, also while the curves are drawn."""
+    seen: list[set[str]] = []
+
+    def draw(folder: Path, judged: Sequence[Judged] = ()) -> None:
+        seen.append({path.name for path in folder.iterdir()})
+        draw_training(folder, judged)
+
+    monkeypatch.setattr(training_pictures, "draw_training", draw)
+    done = foreglow_command(*options, "--out", tmp_path / "run", "--epochs", 1)
+    assert done.exit_code == 0, done.output
+    assert [names & {"model.onnx", "weights.pt", "curves.csv"} for names in seen] == [
+        {"model.onnx", "weights.pt", "curves.csv"}
+    ]
+    assert not seen[0] & {"summary.json", "config.toml", "recipe.toml", "curves.png"}
+    assert (tmp_path / "run/curves.png").is_file()
 
 
 def test_several_data_sets_are_joined(data: Path, tmp_path: Path, options: list[object]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -273,6 +274,7 @@ def train(
     try:
         with TrainingBar() as progress:
             how: dict[str, Any] = {"device": device, "cache": cache, "progress": progress}
+            how["draw"] = functools.partial(draw_training, out)
             if start is None:
                 summary = train_model(data, chosen, configuration, out, teachers=teacher or (), **how)
             else:
@@ -282,7 +284,6 @@ def train(
         with contextlib.suppress(ValueError):  # curves that were damaged before; the training makes them anew
             draw_training(out)
         raise
-    draw_training(out)
     if start is None:
         typer.echo("\n".join(_training_lines(summary, out)))
     else:
@@ -299,7 +300,7 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
     from rich.table import Table
 
     from foreglow.lab.reports.page import number
-    from foreglow.lab.reports.training_pictures import draw_changes
+    from foreglow.lab.reports.training_pictures import CHANGES
 
     own, old = _boxes_of(summary["samples"]["own"], summary["recipe"]), summary["samples"]["mixed_in"]
     if isinstance(summary["mixed_in"], list):  # of drives, in place of the samples that ship, which have no copies
@@ -326,9 +327,8 @@ def _show_fine_tuning(summary: dict[str, Any], start: StartingPoint, judged: Seq
         typer.echo(line)
     if len(judged) == 1:
         typer.echo("no drives of yours are held out: label one more into DATA/val to see what it gained on them")
-    picture = draw_changes(judged, folder)
-    if picture is not None:
-        typer.echo(f"what changed, before and after: look at {picture}")
+    if any(each.is_changed.any() for each in judged if each.images is not None):
+        typer.echo(f"what changed, before and after: look at {folder / CHANGES}")
     for line in _kept_lines(summary["kept"], summary["way"]):
         typer.echo(line)
     if summary["way"] == 0:

@@ -10,6 +10,7 @@ import typer
 from foreglow.cli.app import app
 from foreglow.cli.shared_run import say_lack
 from foreglow.command_line import argument, output_file, with_options
+from foreglow.folder_lock import locked
 from foreglow.outputs import check_kinds
 from foreglow.own_files import RUN_PAGE
 
@@ -27,8 +28,9 @@ def report(
     from foreglow.lab.reports.run_page import write_report
 
     require_matplotlib()
-    if out is None:
-        check_kinds({"RUN": run / "report.html"}, {"RUN": RUN_PAGE})
-    page = write_report(run, out)
+    unnamed = {"RUN": run / "report.html"} if out is None and run.is_dir() else {}
+    check_kinds(unnamed, {"RUN": RUN_PAGE})
+    with locked({}, unnamed):
+        page = write_report(run, out)
     say_lack(run)
     typer.echo(f"look in {page}")

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -115,6 +116,11 @@ class Judged:
     threshold: float
     weights: NDArray[np.float32] | None = None
 
+    @property
+    def is_changed(self) -> NDArray[np.bool_]:
+        """Shape (N,): whether one of the models accepts a box and the other does not."""
+        return np.asarray((self.before > self.threshold) != (self.after > self.threshold))
+
     def figures(self) -> tuple[BoxFigures, BoxFigures]:
         """Before and after."""
         is_known = self.samples.labels != IGNORED
@@ -191,6 +197,7 @@ def fine_tune(
     device: str = "auto",
     cache: Path | None = None,
     progress: RunProgress | None = None,
+    draw: Callable[[Sequence[Judged]], None] | None = None,
 ) -> tuple[dict[str, Any], tuple[Judged, ...]]:
     """Trains the model further on the proposals of `config` in every DATA/train, and judges it on every DATA/val.
 
@@ -207,6 +214,7 @@ def fine_tune(
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         cache: Folder in which samples are kept between runs; None keeps them in `folder`.
         progress: Called after every image, step and epoch.
+        draw: Writes pictures of the training and of the boxes that it was judged by; called before its summary appears.
 
     Raises:
         FileNotFoundError: If a split or one of its files is missing.
@@ -314,7 +322,8 @@ def fine_tune(
         "repeats": {"own": repeats, "mixed_in": old_repeats},
         "seconds": round(time.perf_counter() - started, 1),
     }
-    return write_results(folder, recipe, config, summary), judged
+    pictures = None if draw is None else functools.partial(draw, judged)
+    return write_results(folder, recipe, config, summary, pictures), judged
 
 
 def _move(

@@ -8,7 +8,7 @@ import importlib.util
 import io
 import platform
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +56,7 @@ def train_model(
     device: str = "auto",
     cache: Path | None = None,
     progress: RunProgress | None = None,
+    draw: Callable[[], None] | None = None,
 ) -> dict[str, Any]:
     """Trains the recipe's network on the proposals of `config` in every DATA/train, and selects it on every DATA/val.
 
@@ -72,6 +73,7 @@ def train_model(
         device: `cpu`, `cuda`, or `auto` for a GPU if there is one.
         cache: Folder in which samples are kept between runs; None keeps them in `folder`.
         progress: Called after every image, step and epoch.
+        draw: Writes pictures of the training; called before its summary appears.
 
     Raises:
         FileNotFoundError: If a split, one of its files or a teacher is missing.
@@ -135,7 +137,7 @@ def train_model(
         "without_light": [origin for name in names for origin in without_light(splits[name], parts[name])],
         "seconds": round(time.perf_counter() - started, 1),
     }
-    return write_results(folder, recipe, config, summary)
+    return write_results(folder, recipe, config, summary, draw)
 
 
 def check_support(recipe: Recipe, config: PipelineConfig) -> None:
@@ -165,8 +167,16 @@ def without_light(splits: Sequence[LabelledSource], parts: Sequence[Samples]) ->
     return [str(each.root) for each, part in zip(splits, parts, strict=True) if not part.num_labelled(POSITIVE)]
 
 
-def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: Mapping[str, Any]) -> dict[str, Any]:
+def write_results(
+    folder: Path,
+    recipe: Recipe,
+    config: PipelineConfig,
+    about: Mapping[str, Any],
+    draw: Callable[[], None] | None = None,
+) -> dict[str, Any]:
     """Writes the recipe, the configuration with the new model, and `summary.json`, whose content is returned.
+
+    They appear together, and last: after all else that came of the training, and the pictures that `draw` writes.
 
     Raises:
         ValueError: If one is there that was changed since it was written.
@@ -179,6 +189,8 @@ def write_results(folder: Path, recipe: Recipe, config: PipelineConfig, about: M
         config_to_toml(config.model_copy(update={"classifier": used})),
         json_text(summary, indent=2),
     )
+    if draw is not None:
+        draw()
     replace_results(folder, dict(zip(TEXTS, map(str.encode, texts), strict=True)))
     return summary
 

@@ -26,13 +26,17 @@ from foreglow.wording import shortened
 CURVES, PICTURE = "curves.csv", "curves.png"
 
 
-def draw_training(folder: Path) -> None:
-    """Draws the curves of the training in `folder`, if it has come to any; without the `plots` extra it does nothing.
+def draw_training(folder: Path, judged: Sequence[Judged] = ()) -> None:
+    """Draws the curves of the training in `folder`, if it has come to any, and of a fine-tuning, what has changed.
+
+    Without the `plots` extra there are no curves.
 
     Raises:
+        FileNotFoundError: If an image is missing.
         ValueError: If the curves are damaged.
-        OSError: If the picture cannot be written.
+        OSError: If a picture cannot be written.
     """
+    draw_changes(judged, folder)
     if (folder / CURVES).is_file() and importlib.util.find_spec("matplotlib") is not None:
         draw_curves(folder / CURVES, folder / PICTURE)
 
@@ -113,8 +117,8 @@ LEGEND = {"light of a vehicle": _LIGHT, "no light of a vehicle": _FALSE, "doubtf
 LEGEND_HEIGHT_PX = 28
 
 
-def draw_changes(judged: Sequence[Judged], folder: Path) -> Path | None:
-    """Draws the images with the most changed boxes, before on the left and after on the right; None without any.
+def draw_changes(judged: Sequence[Judged], folder: Path) -> None:
+    """Draws the images with the most changed boxes, if there are any: before on the left and after on the right.
 
     Accepted boxes with labelled light are green, those without are red, and those with doubtful light yellow, as the
     legend on top says.
@@ -126,14 +130,12 @@ def draw_changes(judged: Sequence[Judged], folder: Path) -> Path | None:
     counts = []
     for part, each in enumerate(judged):
         if each.images is not None:
-            has_changed = (each.before > each.threshold) != (each.after > each.threshold)
-            ids, numbers = np.unique(each.samples.image_ids[has_changed], return_counts=True)
+            ids, numbers = np.unique(each.samples.image_ids[each.is_changed], return_counts=True)
             counts += [(-int(number), part, int(image_id)) for image_id, number in zip(ids, numbers, strict=True)]
     if not counts:
-        return None
+        return
     rows = [_legend(), *(_row(judged[part], image_id) for _, part, image_id in sorted(counts)[:MAX_IMAGES])]
     write_atomic(folder / CHANGES, cv2.imencode(".jpg", np.concatenate(rows))[1].tobytes())
-    return folder / CHANGES
 
 
 def _legend() -> Picture:
