@@ -246,6 +246,23 @@ def test_another_beam_says_what_of_a_scene_it_leaves_out(tmp_path: Path, monkeyp
     assert [scene.ego.carpet for scene in made] == [0.4, 1.0, 1.0, 1.0]
 
 
+@pytest.mark.parametrize("inner", ["day", "day/train"])
+def test_a_data_set_is_not_written_into_another_one(inner: str, tmp_path: Path) -> None:
+    """It became A/day/day/train, where no command looks for it."""
+    (tmp_path / "A/day/train/labels/keypoints").mkdir(parents=True)
+    words = complaint("simulate", "--scene", scene_of(tmp_path), "--out", tmp_path / "A" / inner)
+    assert f"{tmp_path / 'A' / inner}: expected the folder of the whole data set, {tmp_path / 'A'}, in which" in words
+    assert [path.name for path in (tmp_path / "A").rglob("*")] == ["day", "train", "labels", "keypoints"]
+
+
+def test_a_preview_of_a_scene_is_not_called_like_a_scenario(tmp_path: Path) -> None:
+    """The scenario's name was ignored without a word."""
+    path = scene_of(tmp_path)
+    words = complaint("simulate", "--scene", path, "--preview", "crest", "--out", tmp_path / "out")
+    assert f"--preview: expected {read_scene(path).name}, as {path} calls its scene, or a name of your own" in words
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_drawn_scene_as_toml(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text(foreglow("simulate", "--print", "crest", "--seed", 5).stdout)

@@ -118,7 +118,7 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     from foreglow.datasets import open_labelled
     from foreglow.lab.evaluation import examine, read_predictions, read_split_labels
     from foreglow.lab.evaluation.boxes.box_quality import compared_labels
-    from foreglow.lab.evaluation.boxes.breakdown import num_beyond
+    from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_twin_boxes
     from foreglow.lab.evaluation.boxes.directness import directness, read_cameras
     from foreglow.runs.frames_file import has_tracks, read_tracks
 
@@ -127,7 +127,12 @@ def _examined_file(split: Path, predictions: Path, threshold: float) -> Examinat
     labels = read_split_labels(dataset, with_shares=True)
     examination = examine(labels, found, threshold, str(predictions))
     notes = (*compared.lines, *examination.notes)
-    examination = dataclasses.replace(examination, num_beyond=num_beyond(dataset, found), notes=notes)
+    examination = dataclasses.replace(
+        examination,
+        num_beyond=num_beyond(dataset, found),
+        num_twin_boxes=num_twin_boxes(dataset, found),
+        notes=notes,
+    )
     if predictions.name == "frames.jsonl" and say_lack(predictions.parent, len(found.scores)):
         examination = dataclasses.replace(examination, is_complete=False)
     if not has_tracks(predictions):

@@ -109,6 +109,11 @@ def simulate(
         if len(scene or ()) > 1:
             raise ValueError(f"--preview: expected one --scene, got {len(scene or ())}")
         drawn = _own_scenes(scene) or _usual((simulation.scenario(preview, seed),))
+        if scene and preview in simulation.SCENARIOS and preview not in (drawn[0].name, scene[0].stem):
+            raise ValueError(
+                f"--preview: expected {drawn[0].name}, as {scene[0]} calls its scene, or a name of your own: with "
+                f"--scene, the scenario {preview} is not drawn"
+            )
         scenes = _adapted(_changed(drawn, ego_beam, empty, scene), size or "640x480", fps, cycle)
         _preview(scenes[0], out or Path("preview_output") / preview, quality)
     elif out is None:

@@ -83,5 +83,5 @@ def counted(number: int, noun: str) -> str:
     >>> counted(1, "frame"), counted(2, "box")
     ('1 frame', '2 boxes')
     """
-    plural = "es" if noun.endswith("x") else "s"
+    plural = "es" if noun.endswith(("x", "ch")) else "s"
     return f"{number} {noun}{'' if number == 1 else plural}"

@@ -93,6 +93,7 @@ FILES = {
     "a negative size": (".xml", image(size='width="-96" height="72"'), "width, height: expected 1 to"),
     "a number of a million digits": (".xml", light("oid", "9" * 10**6), "oid: expected a whole number"),
     "no truth value": (".xml", light("rear", "maybe"), "rear: expected true or false, got 'maybe'"),
+    "no truth value, but a number": (".xml", light("rear", "2"), "rear: expected true or false, got '2'"),
     "no truth value, but an empty text": (".xml", light("direct", ""), "direct: expected true or false, got ''"),
     "an empty text for a truth value": (
         ".json",

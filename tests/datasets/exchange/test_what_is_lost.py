@@ -12,6 +12,20 @@ from foreglow.datasets.exchange.marks import Kind
 from tests.cli.commands import complaint
 
 
+@pytest.mark.parametrize(
+    ("value", "is_true"),
+    [(True, True), (1, True), (1.0, True), ("1", True), ("TRUE", True), (0, False), ("0", False), ("False", False)],
+)
+def test_spellings_of_a_truth_value(value: object, is_true: bool, tmp_path: Path) -> None:
+    """1 and 0, as some tools write checkboxes, were refused."""
+    point = {"image_id": 1, "category_id": 1, "keypoints": [1, 2, 2], "attributes": {"direct": value, "rear": value}}
+    file = {"images": [{"id": 1, "file_name": "a.png", "width": 96, "height": 72}], "annotations": [point]}
+    path = tmp_path / "labels.json"
+    path.write_text(json.dumps(file | {"categories": [{"id": 1, "name": "light"}]}))
+    ((mark,),) = (image.marks for image in read_labels_file(path).images)
+    assert (mark.is_direct, mark.is_rear) == (is_true, is_true)
+
+
 def test_what_only_points_of_other_kinds_have_is_counted(tmp_path: Path) -> None:
     """`rear` is of a light, and doubtful light is of no vehicle; `false` says nothing, nor does a track's number."""
     said = {"oid": 1, "iid": 7, "direct": True, "rear": True}

@@ -349,14 +349,14 @@ def number(value: object, origin: str) -> int | None:
 
 
 def truth(value: object, origin: str) -> bool:
-    """The truth value in an attribute that is there. An empty text or nothing is a value, which nobody can know.
+    """The truth value in an attribute that is there, also as 1 or 0. An empty text or nothing says neither.
 
     Raises:
         ValueError: If it is none; the message begins with `origin`.
     """
-    values = {False: False, True: True, "false": False, "true": True}
+    values = {False: False, True: True, "false": False, "true": True, "0": False, "1": True}  # False == 0, True == 1
     key = value.strip().lower() if isinstance(value, str) else value
-    if not isinstance(key, bool | str) or key not in values:
+    if not isinstance(key, int | float | str) or key not in values:
         raise ValueError(f"{origin}: expected true or false, got {shortened(value)}")
     return values[key]
 

@@ -198,6 +198,9 @@ def examination_lines(examination: Examination) -> list[str]:
     if examination.num_beyond:
         boxes = counted(examination.num_beyond, "box")
         lines.append(f"wholly beyond the image, as predictions for images of another size are: {boxes}")
+    if examination.num_twin_boxes:
+        boxes = counted(examination.num_twin_boxes, "box")
+        lines.append(f"in the predictions again, same image and place, and counted again: {boxes}")
     if examination.num_twins:
         lights = counted(examination.num_twins, "key point")
         lines.append(f"in the labels again, same vehicle, instance and place, and counted again: {lights}")

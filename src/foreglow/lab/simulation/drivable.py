@@ -1,10 +1,13 @@
-"""Scene files of the user, checked as a whole: our own drive is on the map, and every vehicle on its road."""
+"""Scene files of the user, checked as a whole: our drive is on the map, others on their roads, and not in our place."""
 
 from __future__ import annotations
 
 import warnings
 from pathlib import Path
 
+import numpy as np
+
+from foreglow.lab.simulation.scenes.assembly import is_in_ours
 from foreglow.lab.simulation.scenes.lamp_files import lamp_files
 from foreglow.lab.simulation.scenes.scenarios import with_beam
 from foreglow.lab.simulation.scenes.scene import EgoBeam, Scene
@@ -20,13 +23,13 @@ def read_drivable(path: Path) -> Scene:
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is no scene, our own drive leaves the map, another vehicle is never on its road, or the file
-            of a low beam is missing or broken; the message names path and field.
+        ValueError: If it is no scene, our own drive leaves the map, another vehicle is never on its road or is where we
+            are, or the file of a low beam is missing or broken; the message names path and field.
     """
     scene = read_scene(path)
     check_ego_on_map(scene, str(path))
     _check_low_beams(scene, path)
-    times_s = [scene.time_s(number) for number in range(scene.num_frames)]
+    times_s = np.array([scene.time_s(number) for number in range(scene.num_frames)])
     for index, vehicle in enumerate(scene.vehicles):
         road = scene.road.branches[vehicle.branch] if vehicle.lane == "branch" else scene.road
         arc_lengths_m, _ = interpolated(vehicle.timetable, times_s)
@@ -34,6 +37,11 @@ def read_drivable(path: Path) -> Scene:
             raise ValueError(
                 f"{path}: vehicles.{index}.timetable: expected arc lengths on its road, 0 to {road.length_m:g} m, at "
                 f"some time of the drive, got {arc_lengths_m.min():g} to {arc_lengths_m.max():g} m"
+            )
+        if vehicle.lane != "branch" and (hits := is_in_ours(vehicle, scene.ego, scene.road, times_s)).any():
+            raise ValueError(
+                f"{path}: vehicles.{index}: expected a vehicle beside ours, before or behind it, but at "
+                f"{times_s[hits.argmax()]:.4g} s both are at {arc_lengths_m[hits.argmax()]:.4g} m along the road"
             )
     return scene
 

@@ -368,6 +368,20 @@ def test_points_that_are_there_several_times(tmp_path: Path, field: str) -> None
     assert after.tp == 2 * before.tp > 0
 
 
+@pytest.mark.filterwarnings("ignore:.* without predictions")
+def test_boxes_that_are_there_several_times(tmp_path: Path) -> None:
+    """Results that two tools had written into one file counted twice, without a word."""
+    split, path = make_pvdn(tmp_path), tmp_path / "predictions.json"
+    boxes = [[36, 29, 46, 33], [1, 1, 9, 9], [36, 29, 46, 33], [36, 29, 46, 33], [1, 1, 9, 8]]
+    path.write_text(json.dumps({"11": {"boxes": boxes, "scores": [0.9, 0.8, 0.9, 0.7, 0.8]}}))
+    with pytest.warns(
+        UserWarning, match=r"predictions\.json: 2 boxes that are in their image again, at the same place"
+    ):
+        evaluate_split(split, path)
+    done = foreglow_command("evaluate", split, "--predictions", path)
+    assert "in the predictions again, same image and place, and counted again: 2 boxes\n" in done.stdout
+
+
 def test_relative_coordinates_are_refused(tmp_path: Path) -> None:
     """They gave an F of 0."""
     split, path = make_pvdn(tmp_path), tmp_path / "predictions.json"

@@ -1,12 +1,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from foreglow.lab.simulation.scenes.scenarios import SCENARIOS, scenario
-from foreglow.lab.simulation.scenes.scene import LOW_BEAM_FIELDS, EgoBeam, EgoSpec, Scene
+from foreglow.lab.simulation.drivable import read_drivable
+from foreglow.lab.simulation.scenes.scenarios import (
+    SCENARIOS,
+    draw_scenes,
+    long_drives,
+    mirrored,
+    scenario,
+    without_traffic,
+)
+from foreglow.lab.simulation.scenes.scene import LOW_BEAM_FIELDS, EgoBeam, EgoSpec, RoadSpec, Scene, VehicleSpec
 from foreglow.lab.simulation.scenes.scene_file import read_scene, scene_to_toml
 
 
@@ -30,7 +39,12 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("[road]\nlenght_m = 3.0\n", "road.lenght_m: unknown, expected one of length_m"),
-        ("[[vehicles]]\ntimetable = [[1.0, 2.0], [0.0, 3.0]]\n", "timetable: expected growing positions"),
+        ("[[vehicles]]\ntimetable = [[1.0, 2.0], [0.0, 3.0]]\n", r"timetable: expected growing times, got 0 s after"),
+        (
+            "[[vehicles]]\ntimetable = [[0.0, 100.0], [0.001, 90.0]]\n",
+            r"vehicles\.0\.timetable: expected at most 150 m/s, got 1e\+04 m/s from 100 m at 0 s to 90 m at 0\.001 s",
+        ),
+        ("[ego]\ntimetable = [[0.0, 20.0], [1.0, 171.0]]\n", r"ego\.timetable: expected at most 150 m/s, got 151 m/s"),
         ("[camera]\nfocal_px = -1.0\n", "camera.focal_px"),
         ("[camera]\nfocal_px = nan\n", "camera.focal_px"),
         ("[camera]\nfocal_px = 1e7\n", "camera.focal_px: .*less than or equal to 1000000"),
@@ -53,6 +67,26 @@ def test_an_empty_file_is_the_default_scene(tmp_path: Path) -> None:
             r"vehicles\.0\.low_beam_file: expected only with beam = \"low\" .*, got 'l\.ies' with beam = \"high\"",
         ),
         ('[[vehicles]]\nkind = "bicycle"\nlow_beam_file = "l.ies"\n', r"vehicles\.0\.low_beam_file: .* a bicycle"),
+        ("[road]\nbarrier_m = 1.1\n", r'road\.barrier_m: .* median = "barrier", got 1\.1 with median = "none"'),
+        ("[road]\nnum_lanes = 2\nedge_line_m = 0.2\n", r"road\.edge_line_m: .* above 0, got 0\.2 with median_m = 0"),
+        (
+            "[[surroundings.rails]]\nside = 'left'\nspan_m = [1000.0, 1900.0]\n",
+            r"surroundings\.rails\.0\.span_m: expected a part of the road, 0 to 500 m, got \(1000\.0, 1900\.0\)",
+        ),
+        (
+            "[[surroundings.woods]]\nside = 'left'\nspan_m = [-90.0, 0.0]\n",
+            r"surroundings\.woods\.0\.span_m: expected a part of the road",
+        ),
+        ("[[vehicles]]\nbranch = 2\n", r'vehicles\.0\.branch: .* lane = "branch", got 2 with lane = "oncoming"'),
+        ("[[vehicles]]\nis_towards = false\n", r'\.is_towards: expected .*, got False with lane = "oncoming"'),
+        ('[[vehicles]]\nlane = "parked_left"\nlane_number = 0\n', r'lane_number: .* got 0 with lane = "parked_left"'),
+        ("[[vehicles]]\nlane_number = 0\nlateral_m = 1.0\n", r"lane_number: expected .*, got 0 with lateral_m"),
+        ('[[vehicles]]\nkind = "bicycle"\nbeam = "high"\n', r"\.beam: expected low or off, got 'high' with a bicycle"),
+        ('[[vehicles]]\nkind = "bicycle"\nbrakes_s = [[0.0, 1.0]]\n', r"brakes_s: expected .* with a bicycle"),
+        ('[[vehicles]]\nbeam = "off"\nbrakes_s = [[0.0, 1.0]]\n', r'brakes_s: expected .* with beam = "off"'),
+        ("[[vehicles]]\n[[vehicles]]\ntimetable = [[0.0, 90.0], [1.0, 95.0]]\n", r"vehicles\.1\.timetable: .* falling"),
+        ('[[vehicles]]\nlane = "own"\n', r"timetable: expected growing arc lengths.* with lane = \"own\""),
+        ('[[vehicles]]\nlane = "parked_left"\n', r"timetable: expected a single place"),
         ("[road\n", "expected TOML"),
         ("[surroundings]\nrails = [{side = 'up', span_m = [1.0, 2.0]}]\n", "surroundings.rails.0.side"),
         (
@@ -77,6 +111,39 @@ def test_errors_name_file_and_field(text: str, message: str, tmp_path: Path) -> 
     with pytest.raises(ValueError, match=message) as error:
         read_scene(path)
     assert str(path) in str(error.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", [lambda: draw_scenes(8, 7, "val", "standard"), lambda: long_drives(6, 1, "val")])
+def test_drawn_scenes_and_their_mirror_images_say_nothing_without_effect(
+    draw: Callable[[], tuple[Scene, ...]], tmp_path: Path
+) -> None:
+    path = tmp_path / "scene.toml"
+    for scene in draw():
+        for each in (scene, mirrored(scene), without_traffic(scene)):
+            path.write_text(scene_to_toml(each))
+            assert read_drivable(path) == each
+
+
+def test_scenes_of_data_sets_are_read_whatever_has_no_effect() -> None:
+    scene = Scene(road=RoadSpec(barrier_m=1.2), vehicles=(VehicleSpec(lane="own", branch=2, is_towards=False),))
+    assert Scene.model_validate_json(scene.model_dump_json()) == scene
+
+
+@pytest.mark.parametrize(("start_m", "is_inside"), [(20.0, True), (23.9, True), (26.0, False), (15.0, False)])
+def test_a_vehicle_in_our_place(start_m: float, is_inside: bool, tmp_path: Path) -> None:
+    """The camera was inside of its body."""
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        f"[[vehicles]]\nlane = 'own'\ntimetable = [[0.0, {start_m}], [1.0, {start_m + 10.0}]]\n"
+        "[ego]\ntimetable = [[0.0, 20.0], [1.0, 30.0]]\n"
+    )
+    if is_inside:
+        words = rf"scene\.toml: vehicles\.0: expected .*, but at 0 s both are at {start_m:g} m along the road"
+        with pytest.raises(ValueError, match=words):
+            read_drivable(path)
+    else:
+        read_drivable(path)
 
 
 def test_files_of_a_scene_are_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

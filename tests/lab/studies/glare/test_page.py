@@ -122,7 +122,7 @@ def test_drives_without_anybody_and_policies_without_gaps(tmp_path: Path) -> Non
     assert "0.00 (–)" not in page
     foreglow = dataclasses.replace(found.policy("high"), name="foreglow")
     assert summary_lines(dataclasses.replace(found, policies=(foreglow,)))[0] == (
-        "foreglow: glare dose of 0 oncoming drivers – of production's; – lx s beside that of the low beam alone"
+        "glare dose of 0 oncoming drivers with foreglow: – of production's; – lx s beside that of the low beam alone"
     )
     assert "Preceding drivers" not in page
     assert page.count("data:image/png") == 2
@@ -140,9 +140,26 @@ def test_a_film_is_in_the_page(tmp_path: Path) -> None:
     assert 'src="film_approach_01.mp4"' in page
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_one_drive_and_one_driver_are_said_in_the_singular(tmp_path: Path) -> None:
+    single = score_glare("one", [DRIVES[0]])
+    assert summary_lines(single)[0].startswith("glare dose of 1 oncoming driver with foreglow: ")
+    page = write_report(single, [], tmp_path).read_text()
+    assert "1 drive, " in page
+    assert "1 oncoming driver and " in page
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_report_says_what_exact_gaps_are(results: GlareResults, tmp_path: Path) -> None:
+    """The oracle was called the best that the lamps can do; ours kept more light and gave less into the gap."""
+    page = write_report(results, [], tmp_path).read_text()
+    assert "with 0.3 m and 0.5° more on either side, in which each LED gives no more than led_limit_lx" in page
+    assert "may keep more light than the oracle" in page
+
+
 def test_in_words(results: GlareResults) -> None:
     lines = summary_lines(results)
-    assert lines[0].startswith("foreglow: glare dose of 2 oncoming drivers ")
+    assert lines[0].startswith("glare dose of 2 oncoming drivers with foreglow: ")  # as an error did: "foreglow: "
     assert "100% dark from the beginning" in lines[1]
     assert "(low beam 25%), after it 100%" in lines[2]
 

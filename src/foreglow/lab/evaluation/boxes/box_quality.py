@@ -21,7 +21,7 @@ from foreglow.datasets import PVDN, LabelledSource, open_labelled
 from foreglow.datasets.exchange import LabelFile
 from foreglow.datasets.exchange.transfer import RENUMBERED
 from foreglow.files import checked_path
-from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twins
+from foreglow.lab.evaluation.boxes.breakdown import num_beyond, num_outside, num_twin_boxes, num_twins
 from foreglow.lab.evaluation.boxes.matching import match_boxes
 from foreglow.lab.evaluation.ratios import ratio
 from foreglow.numbers import checked_share
@@ -168,6 +168,7 @@ def evaluate_split(split: Path | str, predictions: Path | str, threshold: float 
         (quality.num_unknown, f"images with predictions that {split} does not have, which are ignored"),
         (outside, f"key points of {split} outside of their image, so that no box finds them"),
         (num_beyond(dataset, found), "boxes wholly beyond the image, as of images of another size"),
+        (num_twin_boxes(dataset, found), "boxes that are in their image again, at the same place, and count again"),
         (twins, f"key points of {split} that are there again, same vehicle, instance and place, and count again"),
     ):
         if number:

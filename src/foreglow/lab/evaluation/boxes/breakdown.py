@@ -288,6 +288,14 @@ def num_beyond(dataset: LabelledSource, predictions: Predictions) -> int:
     return total
 
 
+def num_twin_boxes(dataset: LabelledSource, predictions: Predictions) -> int:
+    """How many predicted boxes, whatever their score, are in their image again, at the same place."""
+    found = (
+        predictions.boxes_xyxy_px[image_id] for image_id in predictions.boxes_xyxy_px.keys() & set(dataset.frame_ids)
+    )
+    return sum(len(boxes) - len(np.unique(boxes, axis=0)) for boxes in found)
+
+
 def num_twins(vehicles: Iterable[Vehicle]) -> int:
     """How many light artifacts of an image are in its labels again, with the same vehicle, instance and place."""
     lights = [(vehicle.oid, light.iid, light.position_px) for vehicle in vehicles for light in vehicle.instances]

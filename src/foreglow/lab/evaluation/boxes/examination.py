@@ -72,6 +72,7 @@ class Examination:
         num_outside: Lights that lie outside their image.
         num_twins: Lights that the labels have several times, which count as often.
         num_beyond: Boxes of a file that lie wholly beyond their image.
+        num_twin_boxes: Boxes of a file that are in their image again, which count as often.
         notes: What is to be said of the labels, and of what is missing in them, one line each.
     """
 
@@ -91,6 +92,7 @@ class Examination:
     num_outside: int = 0
     num_twins: int = 0
     num_beyond: int = 0
+    num_twin_boxes: int = 0
     notes: tuple[str, ...] = ()
 
     @property

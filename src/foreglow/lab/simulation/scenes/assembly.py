@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
 from foreglow.lab.simulation.scenes.draw import Draw, draw_camera, draw_sensor
@@ -34,6 +35,13 @@ def without_collisions(
             kept.append(vehicle)
             taken += [extent] if vehicle.lane != "branch" else []
     return tuple(kept)
+
+
+def is_in_ours(vehicle: VehicleSpec, ego: EgoSpec, road: RoadSpec, times_s: Floats) -> NDArray[np.bool_]:
+    """At which of `times_s` a vehicle on the main road and ours are in the same place; straying does not count."""
+    begin, end, right, left = _extent(vehicle, road, times_s)
+    our_begin, our_end, our_right, our_left = _extent(_as_vehicle(ego), road, times_s)
+    return (begin < our_end) & (our_begin < end) & (right < our_left) & (our_right < left)
 
 
 def _as_vehicle(ego: EgoSpec) -> VehicleSpec:

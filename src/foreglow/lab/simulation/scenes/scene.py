@@ -28,6 +28,7 @@ from foreglow.lab.simulation.scenes.surroundings import (
     SpecModel,
     SurroundingsSpec,
     TimeSpan,
+    Timetable,
 )
 
 VehicleKind: TypeAlias = Literal["car", "van", "lorry", "motorcycle", "semitrailer", "bicycle"]
@@ -88,7 +89,7 @@ class RoadSpec(SpecModel):
         superelevation: Cross slope for each 1/100 m of curvature, up to 6 %; roads lean into their bends.
         centre_marking: Dashes, a solid line, or none.
         has_edge_marking: Whether there are lines at the edges.
-        edge_line_m: Width of the lines at the edges where there is a median.
+        edge_line_m: Width of the lines at the edges and beside the median, where that has a width.
         wear: From 0, new, to 1, worn: markings fade, wheel tracks shine.
         wetness: From 0, dry, to 1, wet: the surface becomes darker and glossy.
         snow: Share of the carriageway that is covered with snow.
@@ -168,7 +169,7 @@ class VehicleSpec(SpecModel):
     lane: Literal["oncoming", "own", "parked_left", "parked_right", "branch"] = "oncoming"
     branch: Annotated[int, Field(ge=0, le=MAX_COUNT)] = 0
     is_towards: bool = True
-    timetable: Profile = ((0.0, 300.0), (10.0, 100.0))
+    timetable: Timetable = ((0.0, 300.0), (10.0, 100.0))
     lane_number: LaneNumber | None = None
     lateral_m: Annotated[float, Field(ge=-500, le=500)] | None = None
     brakes_s: Listed[tuple[TimeSpan, ...]] = ()
@@ -179,11 +180,6 @@ class VehicleSpec(SpecModel):
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     is_light: bool = False
     lights_up_to_m: Annotated[float, Field(gt=0, le=MAX_ALONG_M)] | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> VehicleSpec:
-        _check_growing("timetable", self.timetable)
-        return self
 
 
 class EgoSpec(SpecModel):
@@ -206,7 +202,7 @@ class EgoSpec(SpecModel):
         stray_m: How far we stray from the middle of our lane, to either side in turn; the map does not know.
     """
 
-    timetable: Profile = ((0.0, 20.0), (10.0, 200.0))
+    timetable: Timetable = ((0.0, 20.0), (10.0, 200.0))
     lane_number: LaneNumber | None = None
     traffic: Side = "right"
     beam: EgoBeam = "low"
@@ -218,11 +214,6 @@ class EgoSpec(SpecModel):
     pitch_aim_deg: Annotated[float, Field(ge=-5, le=5)] = 0.0
     body_motion: Annotated[float, Field(ge=0, le=10)] = 1.0
     stray_m: Annotated[float, Field(ge=0, le=1.5)] = 0.0
-
-    @model_validator(mode="after")
-    def _check(self) -> EgoSpec:
-        _check_growing("timetable", self.timetable)
-        return self
 
     @property
     def changed_low_beam(self) -> tuple[str, ...]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, Field, model_validator
 
 from foreglow.config import FrozenModel
+from foreglow.types.frame import MAX_SPEED_MPS
 
 T = TypeVar("T")
 
@@ -34,6 +36,23 @@ TimeSpan: TypeAlias = Annotated[tuple[Along, Along], _growing("time in s")]
 
 Span: TypeAlias = Annotated[tuple[Along, Along], _growing("arc length")]
 """From one arc length to another, metres."""
+
+
+def _drivable(timetable: Profile) -> Profile:
+    """Passes pairs with growing times and possible speeds."""
+    for (begin_s, begin_m), (end_s, end_m) in itertools.pairwise(timetable):
+        if end_s <= begin_s:
+            raise ValueError(f"expected growing times, got {end_s:g} s after {begin_s:g} s")
+        if abs(end_m - begin_m) > MAX_SPEED_MPS * (end_s - begin_s):
+            raise ValueError(
+                f"expected at most {MAX_SPEED_MPS:g} m/s, got {abs(end_m - begin_m) / (end_s - begin_s):.4g} m/s from "
+                f"{begin_m:g} m at {begin_s:g} s to {end_m:g} m at {end_s:g} s"
+            )
+    return timetable
+
+
+Timetable: TypeAlias = Annotated[Profile, AfterValidator(_drivable)]
+"""Pairs (time in s, arc length in m) with growing times."""
 
 MIN_SPACING_M = 0.5
 """Between posts and trees: a road of 5 km has 10,000 of them."""

@@ -214,6 +214,8 @@ def simulate_datasets(
         ValueError: As `simulate_dataset`.
         OSError: As `simulate_dataset`.
     """
+    for target in targets:
+        _check_out(target.out)
     files = {target.root: _scene_files(scenes, target.config, num_variants) for target in targets}
     with contextlib.ExitStack() as locks:
         for root in files:
@@ -221,6 +223,21 @@ def simulate_datasets(
         for target in targets:
             _check_roads(target, scenes)
         return _simulated(targets, scenes, expose, files, num_variants, workers, progress)
+
+
+def _check_out(out: Path) -> None:
+    """ValueError if `out` is a split, or the folder of a data set's cycle, in which nobody looks for another set."""
+    if _is_split(out):
+        root = out.parent.parent
+    elif out.name in set(Cycle) and any(_is_split(folder) for folder in out.glob("*")):
+        root = out.parent
+    else:
+        return
+    raise ValueError(f"{out}: expected the folder of the whole data set, {root}, in which CYCLE/SPLIT is made")
+
+
+def _is_split(folder: Path) -> bool:
+    return (folder / "scenes.jsonl").is_file() or (folder / "labels" / "keypoints").is_dir()
 
 
 def _check_roads(target: Target, scenes: Sequence[Scene]) -> None:

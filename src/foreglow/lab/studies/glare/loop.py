@@ -138,7 +138,11 @@ def both(production: Floats, is_reporting: bool, provident: Floats) -> Floats:
 
 
 class ExactCar:
-    """Exact gaps, in this very frame, around vehicles whose positions are known: what no car can do."""
+    """Exact gaps, in this very frame, around vehicles whose positions are known: what no car can do.
+
+    They are no bound on what the lamps can do: gaps are as wide as `exact_gaps` says, each LED is dimmed to
+    `BeamConfig.led_limit_lx`, and there is no guard. Narrower gaps keep more light, and a guard dims further.
+    """
 
     def __init__(self, config: BeamConfig, headlamps: Headlamps) -> None:
         self._writer = GapWriter(config, headlamps)
@@ -181,7 +185,7 @@ def paper_config(config: PipelineConfig) -> PipelineConfig:
 
 
 def exact_gaps(known: DriveFrame, vehicles: Sequence[VehicleTruth]) -> list[Gap]:
-    """A gap around the whole body of each of `vehicles`, in front of us."""
+    """A gap around the whole body of each of `vehicles`, in front of us, with both margins on either side."""
     gaps = []
     for vehicle in vehicles:
         length_m, width_m, _ = vehicle.size_m

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+from foreglow.display.summary_lines import counted
 from foreglow.files import to_json
 from foreglow.lab.evaluation.occurrence import LeadScore
 from foreglow.lab.evaluation.ratios import ratio
@@ -24,6 +25,7 @@ from foreglow.lab.studies.glare.figures import (
     seconds,
     sensitivity_figure,
 )
+from foreglow.lab.studies.glare.loop import BODY_MARGIN_M, EXACT_MARGIN_DEG
 from foreglow.lab.studies.glare.pooled import BinGlare, DriveScore, GroupGlare, Interval, Moments, WrongDimming
 from foreglow.lab.studies.glare.road import AHEAD_S, FULL_LEVEL, JUMP, SWITCH_S
 from foreglow.lab.studies.glare.run import GlareExperiment
@@ -128,12 +130,12 @@ def summary_lines(results: GlareResults) -> list[str]:
     name = own_policy(results)
     score = results.policy(name)
     oncoming, present, empty = score.oncoming, score.present, score.empty
-    moments = oncoming.first_occluded
+    moments, beside_low = oncoming.first_occluded, signed(oncoming.known_lxs(oncoming.all_bins.over_low_lxs))
     return [
-        f"{name}: glare dose of {oncoming.num_eyes} oncoming drivers {interval(oncoming.dose_vs_production, percent)} "
-        f"of production's; {signed(oncoming.known_lxs(oncoming.all_bins.over_low_lxs))} lx s beside that of the low "
+        f"glare dose of {counted(oncoming.num_eyes, 'oncoming driver')} with {name}: "
+        f"{interval(oncoming.dose_vs_production, percent)} of production's; {beside_low} lx s beside that of the low "
         "beam alone",
-        f"first glare moment in {moments.num} occluded approaches: median {number(moments.median)} s, "
+        f"first glare moment in {counted(moments.num, 'occluded approach')}: median {number(moments.median)} s, "
         f"mean {number(moments.mean)} s, {percent(moments.dark_share)} dark from the beginning",
         f"light kept on the own lane while a vehicle is present: {interval(present.own_lane, percent)} of full beam "
         f"(low beam {percent(present.low_own_lane)}), after it {percent(score.passed.own_lane.value)}",
@@ -208,8 +210,9 @@ def _preamble(results: GlareResults) -> str:
     first = results.policies[0]
     empty = sum(drive.is_empty for drive in first.drives)
     return (
-        f"{len(first.drives)} drives, {results.seconds / 60:.1f} minutes, {empty} of them without any other driver; "
-        f"{first.oncoming.num_eyes} oncoming and {first.preceding.num_eyes} preceding drivers. Light is computed at "
+        f"{counted(len(first.drives), 'drive')}, {results.seconds / 60:.1f} minutes, {empty} of them without any other "
+        f"driver; {counted(first.oncoming.num_eyes, 'oncoming driver')} and "
+        f"{counted(first.preceding.num_eyes, 'preceding driver')}. Light is computed at "
         f"their eyes, with all that is in between. Limits: {results.limits}."
     )
 
@@ -220,6 +223,12 @@ def _notes(results: GlareResults) -> Iterator[str]:
         "regulations' test procedures are not followed: light is compared frame by frame and is not rounded. Nothing "
         "here is a statement of compliance. UN R123 limits the intensity towards drivers 50, 100 and 200 m away; what "
         "is drawn is the illuminance of two such lamps, in between a straight line."
+    )
+    yield (
+        f"{PRODUCTION} and oracle have exact gaps: around the whole body, with {BODY_MARGIN_M:g} m and "
+        f"{EXACT_MARGIN_DEG:g}° more on either side, in which each LED gives no more than led_limit_lx. A policy with "
+        "narrower margins may keep more light than the oracle, and one with a guard, which limits all LEDs of a lamp "
+        "together, may shine less into the gap."
     )
     yield (
         "Glare of all drives is added before it is divided: each second with a driver in range weighs the same. A "

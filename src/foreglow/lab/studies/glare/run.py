@@ -175,7 +175,7 @@ def run_experiment(
             if is_made:
                 folder.rmdir()
         raise
-    return _scored(folder, wanted, plan, own_name(config))
+    return _scored(folder, wanted, plan, own_name(config), name_of(scenes))
 
 
 def _drive_missing(
@@ -369,10 +369,21 @@ def kept_sightings(path: Path) -> list[Sighting]:
     return [Sighting.from_json(row) for row in rows]
 
 
-def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str) -> GlareExperiment:
+def name_of(scenes: Path) -> str:
+    """What the scenes at this path are called: by the split's folder, or the file where that has another name.
+
+    >>> name_of(Path("val")), name_of(Path("data/day/test/scenes.jsonl")), name_of(Path("mine.jsonl"))
+    ('val', 'test', 'mine.jsonl')
+    """
+    named = scenes.resolve()
+    return named.parent.name if named.name == "scenes.jsonl" else named.name
+
+
+def _scored(folder: Path, wanted: Sequence[NamedScene], plan: GlarePlan, own: str, name: str) -> GlareExperiment:
     settings = settings_of(plan.delays)
     names = {setting.name for setting in settings}
-    name = folder.name if plan.paper_model is None else f"{folder.name}, the paper's row by its whole chain"
+    if plan.paper_model is not None:
+        name = f"{name}, the paper's row by its whole chain"
     scored = []
     for limits in (FMVSS_108, R123):
         drives = (read_glare_drive(_drive_file(folder, named.name)) for named in wanted)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from foreglow.display.summary_lines import counted
 from foreglow.lab.evaluation.label_statistics import Spread
 from foreglow.lab.reports.figures import AMBER, BLUE, GREY, INK, png, subplots
 from foreglow.lab.reports.page import DASH, Figure, Page, Table, percent
@@ -60,7 +61,8 @@ def write_report(results: SimulatorResults, folder: Path) -> Path:
     """
     labels = results.labels
     page = Page(f"The simulated data set {results.name}")
-    page.text(f"{labels.num_sequences} drives, {labels.num_images} images, {labels.num_instances} instances.")
+    counts = {"drive": labels.num_sequences, "image": labels.num_images, "instance": labels.num_instances}
+    page.text(f"{', '.join(counted(num, noun) for noun, num in counts.items())}.")
     _add_leads(page, results)
     page.section("Labels")
     _add_labels(page, results)
