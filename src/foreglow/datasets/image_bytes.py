@@ -24,8 +24,8 @@ PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 JPEG_SIGNATURE = b"\xff\xd8\xff"
 
 MAX_SCANS = 100
-"""Scans of a JPEG, of which each takes time for all pixels, however few bytes it has: libtiff's own limit for JPEGs in a
-TIFF. Encoders write about ten."""
+"""Scans of a JPEG, of which each takes time for all pixels, however few bytes it has; encoders write about ten. It is
+libtiff's own limit for JPEGs in a TIFF."""
 
 _PNG_HEADER = struct.Struct(">IIBBBBB")
 _PNG_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}

@@ -33,6 +33,9 @@ FINEST_STEP_DEG = 0.05
 MAX_LED_CELLS = 64_000_000
 """Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
 
+MIN_ROW_STEP_DEG = 0.1
+"""Least angle between rows; those of radians, of rows up to 5 degrees apart, are closer."""
+
 MAX_LEDS = 1024
 """LEDs of a lamp: the guard's tables take 0.6 MB for each, whatever its own table."""
 
@@ -143,6 +146,11 @@ class LedGrid(FrozenModel):
         _check_num_leds(self.num_columns * len(elevations), "num_columns")
         if list(elevations) != sorted(set(elevations)):
             raise ValueError(f"row_elevations_deg: expected growing numbers, got {list(elevations)}")
+        if len(elevations) > 1 and min(np.diff(elevations)) < MIN_ROW_STEP_DEG - 1e-9:
+            raise ValueError(
+                f"row_elevations_deg: expected rows at least {MIN_ROW_STEP_DEG:g} degrees apart, got "
+                f"{list(elevations)}; are these radians?"
+            )
         if len(peaks) != len(elevations):
             raise ValueError(f"row_peaks_cd: expected one for each of {len(elevations)} rows, got {len(peaks)}")
         for side in ("width", "height"):
