@@ -27,7 +27,7 @@ MIN_KEPT = 0.75
 """Least share of a peak that is left of it between the angles of a new table: whoever must not be dazzled is by the
 peak. Three values over its upper half are enough."""
 
-_ROWS_AT_ONCE = 64
+ROWS_AT_ONCE = 64
 """Rows of a table that are resampled together: what is needed in between takes 100 bytes a cell."""
 
 
@@ -67,8 +67,8 @@ def resampled(
         for first, last in (azimuth_span, elevation_span)
     )
     table = np.empty((len(elevations), len(azimuths)), np.float32)
-    for begin in range(0, len(elevations), _ROWS_AT_ONCE):
-        rows = slice(begin, begin + _ROWS_AT_ONCE)
+    for begin in range(0, len(elevations), ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
         azimuth, elevation = np.meshgrid(azimuths, elevations[rows])
         vertical, horizontal = _file_angles(kind, azimuth, elevation, horizontals)
         table[rows] = bilinear(candela, verticals, horizontals, vertical, horizontal)
