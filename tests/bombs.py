@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from foreglow.datasets.bags.mcap_file import MAGIC as MCAP_MAGIC
@@ -41,6 +42,12 @@ def sparse(size: int, head: bytes = b"") -> Callable[[Path], object]:
         os.truncate(path, size)
 
     return make
+
+
+def many_scans(num: int, side: int = 8192) -> bytes:
+    """A progressive JPEG whose last scan is there many times more."""
+    data = bytes(cv2.imencode(".jpg", np.zeros((side, side), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1])
+    return data[:-2] + num * data[data.rindex(b"\xff\xda") : -2] + data[-2:]
 
 
 def poses(path: Path) -> None:
@@ -261,6 +268,9 @@ BOMBS: dict[str, tuple[str, str, Callable[[Path], object], str]] = {
     ),
     "a wide TIFF": ("frames", "a.tif", tiff(30_000), "8192 px a side, got 30000x30000"),
     "a wide TIFF by another name": ("frames", "a.png", tiff(30_000), "8192 px a side, got 30000x30000"),
+    "a JPEG of many scans": (
+        "frames", "a.jpg", lambda path: path.write_bytes(many_scans(3000)), "JPEG of at most 100 scans",
+    ),
     "a wide BMP": (
         "frames", "a.bmp",
         sparse(999, b"BM" + bytes(12) + struct.pack("<IiiHHI", 40, 40_000, 40_000, 1, 8, 1)), "got 40000x40000",

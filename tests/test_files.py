@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from foreglow.datasets.json_files import parse_json, read_json
+from foreglow.datasets.json_files import parse_json, read_json, read_json_lines
 from foreglow.files import (
     fields_to_json,
     file_digest,
@@ -30,6 +30,7 @@ from foreglow.files import (
     number_in,
     read_plain_json,
     read_text,
+    read_toml,
     read_yaml,
     to_json,
     write_json_results,
@@ -363,3 +364,17 @@ def test_a_signal_that_is_ignored_stays_so_in_a_block_that_is_undisturbed() -> N
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("read", [read_text, read_plain_json, read_toml, lambda path: read_json(path, dict)])
+def test_utf_16_is_told(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / "a.json"
+    path.write_text("{}", "utf-16")
+    with pytest.raises(ValueError, match=r"a\.json: expected UTF-8 text, is UTF-16: save it as UTF-8$"):
+        read(path)
+
+
+def test_a_mark_of_utf_8_may_begin_lines_of_json(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text("{}\n{}\n", "utf-8-sig")
+    assert [value for _, value in read_json_lines(path, dict)] == [{}, {}]

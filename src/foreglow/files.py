@@ -269,11 +269,23 @@ def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES, encoding: str = "utf-
         FileNotFoundError: If there is no such file.
         ValueError: If it is no regular file, larger than `max_bytes`, or not such text.
     """
+    data = read_bytes(path, max_bytes)
+    check_encoding(data, path)
     try:
-        text = read_bytes(path, max_bytes).decode(encoding, errors)
+        text = data.decode(encoding, errors)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: expected UTF-8 text: {error}") from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def check_encoding(data: bytes, path: Path) -> None:
+    """Passes all but UTF-16, by the mark with which it begins: editors save it, and no file of ours is.
+
+    Raises:
+        ValueError: If it is; the message names `path`.
+    """
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise ValueError(f"{path}: expected UTF-8 text, is UTF-16: save it as UTF-8")
 
 
 def bounded_lines(file: IO[AnyStr], path: Path, max_bytes: int) -> Iterator[AnyStr]:
@@ -298,6 +310,7 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         ValueError: If it is not TOML, or beyond a bound; the message names the path and the place.
     """
     data = read_bytes(Path(path), MAX_TOML_BYTES)
+    check_encoding(data, Path(path))
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         for part in re.split(r"[=,{}\[\]\n]", _TOML_TEXTS.sub('""', text)):
@@ -311,13 +324,15 @@ def read_toml(path: Path | str) -> dict[str, Any]:
 def read_yaml(path: Path) -> Any:
     """What the YAML file `path` holds; aliases are refused, since a few make billions of values.
 
+    A line `---` may end it, as in what `ros2 topic echo` prints.
+
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is not YAML, has an alias or a key twice, or is beyond a bound; the message names the path.
     """
     import yaml
 
-    text = read_text(path, MAX_YAML_BYTES)
+    text = read_text(path, MAX_YAML_BYTES).rstrip().removesuffix("\n---")
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         depth = 0
@@ -386,6 +401,7 @@ def read_plain_json(path: Path) -> Any:
         ValueError: If it is no JSON, has a key twice, or is beyond a bound; the message names the path.
     """
     data = read_bytes(path, MAX_JSON_BYTES).removeprefix(codecs.BOM_UTF8)
+    check_encoding(data, path)
     check_json(data, str(path))
     try:
         value = from_json(data)

@@ -105,6 +105,11 @@ def test_a_file_of_something_else(tmp_path: Path, text: str) -> None:
         read_intrinsics(write(tmp_path, text))
 
 
+def test_entries_without_a_colon_are_told(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="entries are: none, expected lines such as `P0: numbers`"):
+        read_intrinsics(write(tmp_path, ODOMETRY.replace(":", "")), ImageChoice(size_px=(1241, 376)))
+
+
 def test_a_file_that_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     path.write_bytes(b"\x89PNG\xff")

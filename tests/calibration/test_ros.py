@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -129,6 +130,61 @@ def test_errors_name_path_and_field(tmp_path: Path, old: str, new: str, message:
 def test_a_rational_model_with_terms_of_its_own(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no further term but 0"):
         read_intrinsics(write(tmp_path, RATIONAL.replace("0.001]", "0.001, 0, 0.1, 0]")))
+
+
+MESSAGE = """\
+header:
+  stamp: {sec: 1, nanosec: 5}
+  frame_id: front
+height: 960
+width: 1280
+distortion_model: plumb_bob
+d:
+- -0.05
+- 0.02
+- 1.0e-05
+- 0.0
+- 0.001
+k: [1312.0, 0, 639.5, 0, 1310.5, 479.5, 0, 0, 1]
+r: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+p: [1300.0, 0, 641.5, 0, 0, 1301.0, 478.5, 0, 0, 0, 1, 0]
+binning_x: 0
+binning_y: 0
+roi:
+  x_offset: 0
+  y_offset: 0
+  height: 0
+  width: 0
+  do_rectify: false
+---
+"""
+
+
+@pytest.mark.parametrize("of_ros_1", [False, True])
+@pytest.mark.parametrize("is_rectified", [False, True])
+def test_a_message_as_ros2_topic_echo_prints_it(tmp_path: Path, of_ros_1: bool, is_rectified: bool) -> None:
+    choice = ImageChoice(is_rectified=is_rectified)
+    expected = read_intrinsics(write(tmp_path, TEXT), choice)
+    text = re.sub("^[dkrp](?=:)", lambda name: name[0].upper(), MESSAGE, flags=re.MULTILINE) if of_ros_1 else MESSAGE
+    assert read_intrinsics(write(tmp_path, text.replace("binning_x: 0", "binning_x: 1")), choice) == expected
+    whole = text.replace("  height: 0\n  width: 0", "  height: 960\n  width: 1280")
+    assert read_intrinsics(write(tmp_path, whole), choice) == expected
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("binning_y: 0", "binning_y: 2", r"binning_x, .*expected those of whole images, .* got 0, 2 and 0x0 px at"),
+        ("  width: 0", "  width: 640", r"roi: expected those of whole images, .* got 0, 0 and 640x0 px at \(0, 0\)"),
+        ("k: [1312.0, ", "k: [", "k: "),
+        ("k: [1312.0, ", "k: [0, ", "k: |camera_matrix"),
+        ("height: 960", "height: 0", "height: "),
+        ("r: [", "K: []\nr: [", "K: "),
+    ],
+)
+def test_a_message_that_cannot_be_used(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(ValueError, match=rf"front\.yaml: .*(?:{message})"):
+        read_intrinsics(write(tmp_path, MESSAGE.replace(old, new)))
 
 
 def test_choices_that_the_file_does_not_have(tmp_path: Path) -> None:

@@ -211,6 +211,13 @@ def test_names_that_contradict_nothing(tmp_path: Path, names: str) -> None:
     OnnxClassifier(ClassifierConfig(model=path))
 
 
+@pytest.mark.parametrize("text", ["", "0", "no", "true"])
+def test_metadata_that_are_no_mark(tmp_path: Path, text: str) -> None:
+    model = write_model(tmp_path / "model.onnx", metadata={"together": text})
+    with pytest.raises(ValueError, match=rf"model\.onnx: metadata: together: expected 1, or none, got '{text}'"):
+        OnnxClassifier(ClassifierConfig(model=model))
+
+
 @pytest.mark.parametrize("name", ["support", "context"])
 @pytest.mark.parametrize("text", ["2.7", "nan", "inf", "1e400", "0", "1e9", "two"])
 def test_metadata_that_are_no_number_of_box_sizes(tmp_path: Path, name: str, text: str) -> None:

@@ -124,6 +124,27 @@ def drive_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_check_takes_the_first_frame_of_a_drive(tmp_path: Path) -> None:
+    (tmp_path / "front.yaml").write_text(ROS)
+    camera, picture, folder = converted(tmp_path, tmp_path / "front.yaml"), tmp_path / "check.png", tmp_path / "drive"
+    folder.mkdir()
+    (folder / "000.png").write_bytes(b"broken")
+    cv2.imwrite(str(folder / "001.png"), night_image(0, 480, 640))
+    image = folder.with_name("image of no format")
+    image.write_bytes((folder / "001.png").read_bytes())
+    for source in (make_video(tmp_path / "drive.mp4"), folder, image):
+        result = foreglow_command("calibrate", "check", camera, source, "--out", picture)
+        assert result.exit_code == 0, result.output
+        assert "scaled         from 1280x960 px" in result.stdout
+    nothing = tmp_path / "nothing.mp4"
+    nothing.write_bytes(b"nothing")
+    said = complaint("calibrate", "check", camera, nothing, "--out", picture)
+    assert "nothing.mp4: expected a video" in said
+    (folder / "001.png").unlink()
+    said = complaint("calibrate", "check", camera, folder, "--out", picture)
+    assert "drive: expected an image or a drive, it has no frame that can be read" in said
+
+
 @pytest.mark.slow
 def test_auto(tmp_path: Path, drive_folder: Path) -> None:
     out = tmp_path / "camera.toml"
@@ -132,6 +153,7 @@ def test_auto(tmp_path: Path, drive_folder: Path) -> None:
     camera = read_calibration(out)
     assert 0 < camera.mount_sigmas.pitch_rad < 0.01
     assert "known to       pitch +-" in result.stdout
+    assert "images have no times: taken for 18 frames a second" in result.stdout
     forward_m = camera.vehicle_from_camera.position_m[0]
     assumed = f"{forward_m:g} m in front of the rear axle, 0 m left of the middle: assumed"
     assert f"position_m     {assumed}" in result.stdout

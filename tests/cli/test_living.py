@@ -146,7 +146,9 @@ def test_bad_input(tmp_path: Path) -> None:
     other.touch()
     for path in (other, tmp_path / "absent"):
         assert f"{path}: expected a scene, a file whose name ends with .toml" in complaint("live", f"simulate:{path}")
-    assert "expected an interface of python-can" in complaint("live", shipped_drive(), "--can", "nonsense:1")
+    assert "--can nonsense:1: expected an interface of python-can" in complaint(
+        "live", shipped_drive(), "--can", "nonsense:1"
+    )
     assert "--speed" in complaint("live", shipped_drive(), "--speed", -1)
     assert "expected a model" in complaint("live", shipped_drive(), "--preset", "paper")
     assert "--can-in: expected neither" in complaint(

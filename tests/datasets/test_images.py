@@ -223,6 +223,22 @@ def test_a_header_without_a_kind_of_pixels_is_not_for_libpng(tmp_path: Path, cap
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    ("start", "kind"),
+    [
+        (b"P7\nWIDTH 80\n", "PAM"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000"),
+        (b"\xff\x4f\xff\x51", "JPEG 2000"),
+        (b"\0\0\0\x0cJXL \r\n\x87\n", "JPEG XL"),
+        (b"v/1\x01", "OpenEXR"),
+        (b"\0\0\0\x18ftypavif", "HEIC or AVIF"),
+    ],
+)
+def test_kinds_that_are_not_read_are_named(tmp_path: Path, start: bytes, kind: str) -> None:
+    with pytest.raises(ValueError, match=rf"expected an image \(PNG, .*\), is {kind}; convert it first$"):
+        read_image(written(tmp_path, "a.png", start + bytes(100)))
+
+
 def with_orientation(path: Path, orientation: int) -> None:
     """Says in the Exif data of a JPEG how the camera was held."""
     data = path.read_bytes()

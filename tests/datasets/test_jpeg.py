@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import read_image
+from foreglow.datasets.image_bytes import MAX_SCANS, check_scans
+from tests.bombs import many_scans
 from tests.datasets.test_images import SMOOTH, encoded, written
 
 
@@ -22,6 +24,17 @@ def test_a_progressive_jpeg_with_a_thumbnail_is_followed(tmp_path: Path) -> None
     assert read_image(written(tmp_path, "a.jpg", whole + b"trailing")).shape == SMOOTH.shape
     with pytest.raises(ValueError, match="truncated JPEG, expected the end-of-image marker"):
         read_image(written(tmp_path, "a.jpg", whole[:-100]))
+
+
+def test_the_scans_of_a_jpeg_are_counted_up_to_its_end(tmp_path: Path) -> None:
+    num = encoded(".jpg", SMOOTH, cv2.IMWRITE_JPEG_PROGRESSIVE, 1).count(b"\xff\xda")
+    check_scans(many_scans(MAX_SCANS - num, 64))
+    for data in (many_scans(MAX_SCANS - num + 1, 64), many_scans(200, 64)[:-2]):
+        hidden = data.replace(b"\xff\xda", b"\xff\xfe\0\4\xff\xd9\xff\xff\xda")  # an end in a comment, fill bytes
+        for jpeg in (data, hidden):
+            with pytest.raises(ValueError, match="a JPEG of at most 100 scans, got more"):
+                read_image(written(tmp_path, "a.jpg", jpeg))
+    read_image(written(tmp_path, "a.jpg", encoded(".jpg", SMOOTH) + 200 * b"\xff\xda"))  # of a film behind the picture
 
 
 @pytest.mark.parametrize("kind", ["zeros", "gap", "restart", "fill", "sizes"])

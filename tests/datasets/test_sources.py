@@ -378,3 +378,11 @@ def test_a_pipe_is_called_one(tmp_path: Path, name: str) -> None:
         next(iter(open_source(tmp_path / name)))
     with pytest.raises(ValueError, match=f"{name}: expected .*, is a pipe"):
         PVDN(tmp_path / name)
+
+
+def test_a_bag_without_its_metadata_is_told(tmp_path: Path) -> None:
+    (tmp_path / "night_0.db3").write_bytes(b"SQLite format 3\0")
+    with pytest.raises(
+        ValueError, match=r"found none, nor the metadata.yaml of a ROS 2 bag, whose file night_0.db3 can be"
+    ):
+        open_source(tmp_path)

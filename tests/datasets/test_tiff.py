@@ -50,6 +50,28 @@ def tiff(pixels: NDArray[Any], extra: int = 0, meaning: int = 2) -> bytes:
     return head + pixels.tobytes() + struct.pack("<H", len(entries)) + directory + bytes(4)
 
 
+@pytest.mark.parametrize(
+    ("tag", "value", "kind"),
+    [
+        (258, 4, "a TIFF with values of 4 bits"),
+        (259, 50000, "a TIFF that is compressed by Zstandard"),
+        (259, 34925, "a TIFF that is compressed by LZMA"),
+        (339, 3, "a TIFF with floats of 16 bits"),
+    ],
+)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_tiff_of_an_unusual_kind_is_named(
+    tmp_path: Path, tag: int, value: int, kind: str, channels: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It may be whole: only its kind is not read here."""
+    data = bytearray(tiff(np.full((80, 96, channels), 200, np.uint16), meaning=1 if channels == 1 else 2))
+    place = data.index(struct.pack("<HHI", 338 if tag == 339 else tag, 3, 1))
+    data[place : place + 12] = struct.pack("<HHII", tag, 3, 1, value)
+    with pytest.raises(ValueError, match=rf"expected an image \(.*\), is {kind}, cannot be decoded; convert it first$"):
+        read_image(written(tmp_path, "a.tif", bytes(data)))
+    assert capfd.readouterr().err == ""
+
+
 def test_tiff_with_an_opacity_is_refused(tmp_path: Path) -> None:
     """OpenCV would darken what is not opaque; a further channel of another kind is left out."""
     pixels = np.full((80, 96, 4), 200, np.uint8)

@@ -227,6 +227,12 @@ def test_a_file_in_another_unit_than_the_others(tmp_path: Path, peaks_cd: tuple[
         ("", GRID.replace("pitch_deg = 3", "pitch_deg = 0"), "grid.pitch_deg: .*greater than 0"),
         ("", GRID.replace("side_sigma_deg = 8.0", "side_sigma_deg = 1e-300"), "grid.side_sigma_deg: .*equal to 0.001"),
         ("", GRID.replace("[0.0, 2.0]", "[2.0, 0.0]"), "grid.row_elevations_deg: expected growing"),
+        (
+            "",
+            GRID.replace("[0.0, 2.0]", "[0.002, 0.026]"),
+            r"grid.row_elevations_deg: expected rows at least 0.1 degrees apart, got \[0.002, 0.026\]; are these",
+        ),
+        ("pitch_deg = 2.0", GRID, "left.pitch_deg: expected a low beam that is brightest .*, elevation 1.5$"),
         ("", GRID.replace("[20000.0, 10000.0]", "[1.0]"), "grid.row_peaks_cd: expected one for each of 2 rows, got 1"),
         ("", GRID.replace("[20000.0, 10000.0]", "[0.0, 10000.0]"), "grid: LED 0: expected at least 1 cd .*, got 0"),
         ("", GRID.replace("[20000.0, 10000.0]", "[20.0, 10.0]"), "grid: all LEDs together: expected at least 1000 cd"),

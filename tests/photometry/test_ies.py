@@ -171,3 +171,14 @@ def test_a_peak_that_the_table_would_lose_is_refused(tmp_path: Path) -> None:
         ValueError, match=r"led\.ies: type C: expected light that a table in steps of 0\.25 x 0\.25 deg"
     ):
         read_ies(path)
+
+
+def test_two_close_angles_of_a_few_make_no_fine_table(tmp_path: Path) -> None:
+    """A file of 300 bytes made a table of 8,000,000 cells; one of many values has its step."""
+    close = "-90 -89.999999 0 90\n-180 -179.999999 0 180\n" + 16 * "5 "
+    sparse = read_ies(written(tmp_path, f"1 -1 1.0 4 4 3 2 0 0 0\n1 1 50\n{close}"))
+    assert 64_800 <= sparse.intensities_cd.size < 200_000
+    angles = np.arange(-4.0, 4.01, 0.05)
+    fine = " ".join(f"{angle:.2f}" for angle in angles)
+    many = f"1 -1 1.0 {len(angles)} {len(angles)} 3 2 0 0 0\n1 1 50\n{fine}\n{fine}\n" + len(angles) ** 2 * "5 "
+    assert read_ies(written(tmp_path, many)).intensities_cd.shape == (len(angles), len(angles))

@@ -11,7 +11,7 @@ import pytest
 
 from foreglow.config import preset
 from foreglow.files import json_text
-from foreglow.runs.summary_file import FaultEvent, LiveSummary, RunSummary, read_summary
+from foreglow.runs.summary_file import FaultEvent, LiveSummary, RunSummary, lack_of_run, read_summary
 from foreglow.runs.tally import Tally
 from foreglow.types import BeamCommand, BeamMode
 from tests.stand_ins import night_frames, result_of
@@ -64,3 +64,9 @@ def test_a_broken_summary_names_the_field(tmp_path: Path, field: str, value: obj
     with pytest.raises(ValueError, match=complaint) as caught:
         read_summary(path)
     assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(("num", "words"), [(1, "1 frame,"), (2, "2 frames,")])
+def test_frames_are_counted_in_words(tmp_path: Path, num: int, words: str) -> None:
+    (tmp_path / "summary.json").write_text(json_text(dataclasses.replace(a_summary(), num_frames=num)))
+    assert f"interrupted after {words} what is made" in str(lack_of_run(tmp_path))

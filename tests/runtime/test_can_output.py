@@ -243,6 +243,17 @@ def test_a_group_that_is_none(group: str) -> None:
         CanBus(f"udp_multicast:{group}")
 
 
+@pytest.mark.parametrize("channel", ["virtual:", "socketcan:"])
+def test_a_channel_without_a_name(channel: str) -> None:
+    with pytest.raises(ValueError, match=f"^{channel}: expected the name of a channel behind the colon"):
+        CanBus(channel)
+
+
+def test_a_channel_that_socketcan_does_not_have() -> None:
+    with pytest.raises(OSError, match=r"^foreglow99: .*; expected a bus of SocketCAN, or INTERFACE:CHANNEL of"):
+        CanBus("foreglow99")
+
+
 def test_bus_that_does_not_take_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     bus = CanBus("virtual:foreglow-full")
 

@@ -67,7 +67,7 @@ class _Entries:
     def numbers(self, key: str, count: int) -> Floats:
         """The `count` finite numbers of an entry."""
         if key not in self._texts:
-            known = ", ".join(list(self._texts)[:20]) or "none"
+            known = ", ".join(list(self._texts)[:20]) or "none, expected lines such as `P0: numbers`"
             raise ValueError(f"{self._path}: {key}: missing, the file's entries are: {known}")
         words = self._texts[key].split()
         try:

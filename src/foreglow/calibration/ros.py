@@ -9,6 +9,9 @@
     rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
     projection_matrix: {rows: 3, cols: 4, data: [1300, 0, 639.5, 0, 0, 1300, 479.5, 0, 0, 0, 1, 0]}
 
+A message as `ros2 topic echo --once` prints it (sensor_msgs/CameraInfo) can be read, too: `width`, `height`, `k`, `d`,
+`p`. Its images must be whole: `binning_x` and `binning_y` 0 or 1, and `roi` empty.
+
 Images as taken have `camera_matrix` and the distortion, rectified images have `projection_matrix` and no distortion.
 The `rectification_matrix` turns a camera of a stereo pair: it belongs to the mount, and is not used.
 
@@ -66,6 +69,58 @@ class _File(FrozenModel):
     projection_matrix: _Matrix | None = None
 
 
+_Whole: TypeAlias = Annotated[int, Field(ge=0, le=2**32 - 1)]
+
+
+class _Region(FrozenModel):
+    x_offset: _Whole = 0
+    y_offset: _Whole = 0
+    height: _Whole = 0
+    width: _Whole = 0
+    do_rectify: bool = False
+
+
+class _Message(FrozenModel):
+    """A CameraInfo; ROS 1 has its matrices in capitals."""
+
+    header: Any = None
+    height: Side
+    width: Side
+    distortion_model: str
+    d: Annotated[tuple[_Number, ...], Field(strict=False)]
+    k: Annotated[tuple[_Number, ...], Field(strict=False, min_length=9, max_length=9)]
+    r: Annotated[tuple[_Number, ...], Field(strict=False, min_length=9, max_length=9)]
+    p: Annotated[tuple[_Number, ...], Field(strict=False, min_length=12, max_length=12)]
+    binning_x: _Whole = 0
+    binning_y: _Whole = 0
+    roi: _Region = _Region()
+
+    def file(self, path: Path) -> _File:
+        """The same as a calibration file has it.
+
+        Raises:
+            ValueError: If the images are not whole.
+        """
+        region = self.roi
+        cut = (region.x_offset, region.y_offset, region.width, region.height)
+        if max(self.binning_x, self.binning_y) > 1 or cut not in ((0, 0, 0, 0), (0, 0, self.width, self.height)):
+            raise ValueError(
+                f"{path}: binning_x, binning_y, roi: expected those of whole images, binning 0 or 1 and an empty roi, "
+                f"got {self.binning_x}, {self.binning_y} and {cut[2]}x{cut[3]} px at {cut[:2]}; calibrate the "
+                "images as they come"
+            )
+        k, r, p = (_Matrix(rows=3, cols=len(data) // 3, data=data) for data in (self.k, self.r, self.p))
+        return _File(
+            image_width=self.width,
+            image_height=self.height,
+            camera_matrix=k,
+            distortion_model=self.distortion_model,
+            distortion_coefficients=_Matrix(rows=1, cols=len(self.d), data=self.d),
+            rectification_matrix=r,
+            projection_matrix=p,
+        )
+
+
 def read_ros_intrinsics(path: Path, choice: ImageChoice) -> Intrinsics:
     """The camera in a file of ROS's.
 
@@ -107,6 +162,9 @@ def _read(path: Path) -> _File:
     fields = read_yaml(path)
     if not isinstance(fields, dict):
         raise ValueError(f"{path}: expected the fields {', '.join(_File.model_fields)}, got {type(fields).__name__}")
+    message = {key.lower() if key in ("D", "K", "R", "P") else key: value for key, value in fields.items()}
+    if "k" in message:
+        return validated(_Message, message if len(message) == len(fields) else fields, str(path)).file(path)
     return validated(_File, fields, str(path))
 
 

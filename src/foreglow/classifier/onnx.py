@@ -195,6 +195,9 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
     metadata = session.get_modelmeta().custom_metadata_map
     support = wanted_support or (_whole(path, metadata, "support") if "support" in metadata else _PUBLISHED_SUPPORT)
     context = _whole(path, metadata, "context") if "context" in metadata else None
+    is_together = "together" in metadata
+    if is_together and metadata["together"] != "1":
+        raise ValueError(f"{path}: metadata: together: expected 1, or none, got {shortened(metadata['together'])}")
     num_earlier = channels - 1 - (context is not None)
     if num_earlier not in (0, 1):
         raise ValueError(
@@ -202,7 +205,7 @@ def _checked_inputs(path: Path, wanted_support: int | None, session: InferenceSe
         )
     lag_s = _number(path, metadata, "lag_s") if num_earlier else None
     try:
-        return names, InputSpec(height, support, lag_s, num_features, context, "together" in metadata)
+        return names, InputSpec(height, support, lag_s, num_features, context, is_together)
     except ValueError as error:
         raise ValueError(f"{path}: metadata: {error}") from error
 

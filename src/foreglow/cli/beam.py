@@ -154,7 +154,10 @@ def lamp_bus(channel: str, configuration: PipelineConfig) -> CanBus:
     headlamps = read_headlamps(configuration.beam.headlamps)
     if headlamps.num_leds != NUM_LEDS:
         raise ValueError(f"--can: expected lamps of {NUM_LEDS} LEDs, {headlamps.name!r} have {headlamps.num_leds} each")
-    return CanBus(channel, ramp_s=_ramp_s(configuration))
+    try:
+        return CanBus(channel, ramp_s=_ramp_s(configuration))
+    except (OSError, ValueError) as error:
+        raise type(error)(f"--can {error}") from error
 
 
 def _ramp_s(configuration: PipelineConfig) -> float:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from foreglow.cli.app import app
-from foreglow.cli.shared_calibration import calibrate_source, calibration_lines, write_calibration
+from foreglow.cli.shared_calibration import calibrate_frames, calibration_lines, write_calibration
+from foreglow.cli.shared_run import source_notes
 from foreglow.command_line import argument, flag, option, output_file, with_options
 from foreglow.options import LensOptions, SourceArgument, SourceOptions, size_from
 from foreglow.outputs import check_kinds, check_unnamed_outputs
 from foreglow.own_files import CALIBRATION, CHECK_PICTURE, with_digest
+
+if TYPE_CHECKING:
+    from foreglow.types import Image
 
 calibrate = typer.Typer(
     no_args_is_help=True, help="Check a calibration file on an image, convert one, or make one from a drive."
@@ -24,21 +29,37 @@ app.add_typer(calibrate, name="calibrate")
 @with_options
 def check(
     camera: Annotated[Path, argument("CAMERA", "Calibration (TOML).")],
-    image: Annotated[Path, argument("IMAGE", "An image that the camera took.")],
+    image: Annotated[Path, argument("IMAGE", "An image that the camera took, or a drive, for its first frame.")],
     out: Annotated[Path, output_file("PNG file to write.", CHECK_PICTURE)],
 ) -> None:
     """Draw horizon, vanishing point and a metre grid of the flat road on IMAGE, and print the calibration in words."""
     from foreglow.calibration import read_calibration
-    from foreglow.datasets import read_image
     from foreglow.display.calibration_check import check_lines, write_check
 
-    calibrated, pixels, lines = read_calibration(camera), read_image(image), []
+    calibrated, pixels, lines = read_calibration(camera), _first_image(image), []
     own_px, (height_px, width_px) = (calibrated.width_px, calibrated.height_px), pixels.shape
     if own_px != (width_px, height_px) and calibrated.has_shape_of(width_px, height_px):
         calibrated = calibrated.scaled(width_px, height_px)
         lines.append(f"scaled         from {own_px[0]}x{own_px[1]} px, as it is for frames of this size")
     write_check(out, calibrated, pixels, str(image))
     typer.echo("\n".join([*check_lines(calibrated), *lines, f"picture        {out}"]))
+
+
+def _first_image(path: Path) -> Image:
+    """The image in a file, whatever its name, or the first frame of a drive that can be read."""
+    from foreglow.datasets import open_source, read_image
+    from foreglow.datasets.formats import format_of
+
+    kind = format_of(path) if path.exists() else "images"
+    if kind == "images" and not path.is_dir():
+        return read_image(path)
+    if kind == "video":
+        with contextlib.suppress(ValueError):
+            return read_image(path)
+    first = next(iter(open_source(path, on_error="skip")), None)
+    if first is None:
+        raise ValueError(f"{path}: expected an image or a drive, it has no frame that can be read")
+    return first.image
 
 
 @calibrate.command()
@@ -60,9 +81,14 @@ def auto(
         picture = out.with_suffix(".png")
         check_unnamed_outputs({"--picture": picture}, {})
         check_kinds({"--picture": picture}, {"--picture": CHECK_PICTURE})
-    found = calibrate_source(source, reading, lens)
+    frames = reading.open(source)
+    found = calibrate_frames(frames, str(source), reading.limit, lens)
     write_calibration(found, out, picture)
-    typer.echo("\n".join([*calibration_lines(found), f"picture        {picture}", f"calibration    {out}"]))
+    typer.echo(
+        "\n".join(
+            [*source_notes(frames), *calibration_lines(found), f"picture        {picture}", f"calibration    {out}"]
+        )
+    )
 
 
 @calibrate.command()

@@ -14,23 +14,28 @@ from foreglow.own_files import CALIBRATION, CHECK_PICTURE, with_digest
 
 if TYPE_CHECKING:
     from foreglow.calibration.auto import DriveCalibration
+    from foreglow.datasets import FrameSource
     from foreglow.options import LensOptions, SourceOptions, VehicleOptions
 
 
 def calibrate_source(source: Path, reading: SourceOptions, lens: LensOptions) -> DriveCalibration:
     """The calibration that the frames of `source` show."""
+    return calibrate_frames(reading.open(source), str(source), reading.limit, lens)
+
+
+def calibrate_frames(frames: FrameSource, name: str, limit: int | None, lens: LensOptions) -> DriveCalibration:
+    """The calibration that the frames of the source `name` show."""
     from foreglow.calibration.auto import calibrate_drive, lens_of
     from foreglow.datasets import Video
 
-    frames, name = reading.open(source), str(source)
     if isinstance(frames, Video) and frames.pixel_aspect != 1:  # one focal length would not do
         raise ValueError(f"{name}: expected square pixels, {frames.words_on_pixels}")
     first = next(iter(frames), None)
     if first is None:
         raise ValueError(f"{name}: expected a drive, it has no frame")
-    known = [num for num in (reading.limit, frames.num_frames) if num is not None]
+    known = [num for num in (limit, frames.num_frames) if num is not None]
     return calibrate_drive(
-        itertools.islice(frames, reading.limit),
+        itertools.islice(frames, limit),
         lens_of(first, name, lens.focal, lens.fov),
         name=name,
         rate_hz=frames.rate_hz,

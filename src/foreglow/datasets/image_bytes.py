@@ -15,10 +15,17 @@ from collections.abc import Iterator
 import simplejpeg
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_USED = frozenset({b"tRNS", b"eXIf"})
+"""Chunks that are not critical and count: which grey or colour is an opacity, and how the image is turned."""
+
 PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 """The last chunk of a PNG."""
 
 JPEG_SIGNATURE = b"\xff\xd8\xff"
+
+MAX_SCANS = 100
+"""Scans of a JPEG, of which each takes time for all pixels, however few bytes it has; encoders write about ten. It is
+libtiff's own limit for JPEGs in a TIFF."""
 
 _PNG_HEADER = struct.Struct(">IIBBBBB")
 _PNG_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
@@ -33,7 +40,9 @@ _TIFF_SIZES = {256: "width", 257: "height", 322: "width of a tile", 323: "height
 _TIFF_KIND, _TIFF_REDUCED = 254, 1  # NewSubfileType, and its bit of an image that is a smaller copy of another
 _TIFF_EXTRA, _TIFF_ALPHA = 338, 2  # ExtraSamples, and its value for an opacity that is not in the colours
 _TIFF_BITS, _TIFF_MEANING, _TIFF_WHITE_IS_0 = 258, 262, 0  # BitsPerSample, PhotometricInterpretation
-_TIFF_OTHERS = (_TIFF_KIND, _TIFF_EXTRA, _TIFF_BITS, _TIFF_MEANING)
+_TIFF_CODING, _TIFF_FORMAT, _TIFF_FLOAT = 259, 339, 3  # Compression, SampleFormat
+_TIFF_OTHERS = (_TIFF_KIND, _TIFF_EXTRA, _TIFF_BITS, _TIFF_MEANING, _TIFF_CODING, _TIFF_FORMAT)
+_TIFF_CODINGS = {34712: "JPEG 2000", 34925: "LZMA", 50000: "Zstandard", 50001: "WebP", 50002: "JPEG XL"}
 _MAX_TIFF_PAGES = 16
 
 ONE_IMAGE = "expected one image, got several in one file; a video or a folder of images has more than one"
@@ -41,11 +50,27 @@ ONE_IMAGE = "expected one image, got several in one file; a video or a folder of
 _WEBP_ANIMATION = 0x02
 
 GIF_SIGNATURES = (b"GIF87a", b"GIF89a")
+BRANDS_OF_PHONES = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis"})
+"""How a HEIC or AVIF begins, whatever its file is called: phones take such images, and nothing here decodes them."""
+
+_UNREAD = (
+    *((signature, "a GIF") for signature in GIF_SIGNATURES),
+    (b"P7\n", "PAM"),
+    (b"Pf", "a PFM"),
+    (b"PF", "a PFM"),
+    (b"\0\0\0\x0cjP  ", "JPEG 2000"),
+    (b"\xff\x4f\xff\x51", "JPEG 2000"),
+    (b"\0\0\0\x0cJXL ", "JPEG XL"),
+    (b"\xff\x0a", "JPEG XL"),
+    (b"v/1\x01", "OpenEXR"),
+    (b"#?RADIANCE", "Radiance HDR"),
+)
+"""How images begin that nothing here decodes, and what they are."""
 _GIF_TABLE, _GIF_TABLE_SIZE = 0x80, 0x07  # bits: whether a table of colours follows, and of how many
 _GIF_EXTENSION, _GIF_IMAGE = 0x21, 0x2C
 
 _JPEG_END = b"\xff\xd9"
-_JPEG_SCAN = 0xDA
+_JPEG_FIRST, _JPEG_LAST, _JPEG_SCAN = 0xD8, 0xD9, 0xDA
 _JPEG_PADDING = re.compile(r"Corrupt JPEG data: [1-4] extraneous bytes before marker 0xd9")
 # Of streams, cameras are known that fill up to each marker, and frames without the usual tables, which decoders know.
 _MJPEG_USUAL = re.compile(
@@ -55,6 +80,8 @@ _MJPEG_USUAL = re.compile(
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 # Markers without a length: TEM, RST0..RST7.
 _JPEG_BARE = frozenset({0x01, *range(0xD0, 0xD8)})
+# Within the coded data every 0xFF is followed by 0x00 or a restart marker; this is what ends them.
+_JPEG_MARKER = re.compile(rb"\xff([\xc0-\xcf\xd8-\xfe])")
 
 
 def png_size_px(data: bytes) -> tuple[int, int]:
@@ -91,6 +118,23 @@ def png_size_px(data: bytes) -> tuple[int, int]:
     return size_px
 
 
+def without_asides(data: bytes) -> bytes:
+    """A whole PNG without what is neither critical nor used, such as a profile of its colours: libpng, which reads it
+    all, would write to stderr what it thinks of that.
+    """
+    kept, position = [data[: len(PNG_SIGNATURE)]], len(PNG_SIGNATURE)
+    while position < len(data):
+        end = position + 12 + int.from_bytes(data[position : position + 4], "big")
+        kind = data[position + 4 : position + 8]
+        chunk = data[position:end]
+        if kind[:1].isupper() or (kind in _PNG_USED and zlib.crc32(chunk[4:-4]).to_bytes(4, "big") == chunk[-4:]):
+            kept.append(chunk)
+        if kind == b"IEND":
+            break
+        position = end
+    return b"".join(kept)
+
+
 def jpeg_size_px(data: bytes) -> tuple[int, int]:
     """Height and width of the JPEG in `data`, which has its end marker.
 
@@ -117,12 +161,33 @@ def jpeg_size_px(data: bytes) -> tuple[int, int]:
         if marker == _JPEG_SCAN:
             break
         position += 2 + max(2, int.from_bytes(data[position + 2 : position + 4], "big"))
-    # Within the coded data every 0xFF is followed by 0x00 or a restart marker, so the end marker is unmistakable.
+    check_scans(data)
+    # The end marker is unmistakable within the coded data, as `_JPEG_MARKER` says.
     if data.rfind(_JPEG_END, position) < 0:
         raise ValueError("truncated JPEG, expected the end-of-image marker")
     if size_px is None:
         raise ValueError("damaged JPEG, expected a start-of-frame segment before the scan")
     return size_px
+
+
+def check_scans(data: bytes) -> None:
+    """Passes a JPEG that does not take long to decode for its size.
+
+    Raises:
+        ValueError: If it has more than `MAX_SCANS` scans; the message does not say where.
+    """
+    num_scans, position = 0, 2
+    while found := _JPEG_MARKER.search(data, position):
+        marker = found[1][0]
+        if marker == _JPEG_LAST:
+            return
+        num_scans += marker == _JPEG_SCAN
+        if num_scans > MAX_SCANS:
+            raise ValueError(f"expected a JPEG of at most {MAX_SCANS} scans, got more")
+        if marker == _JPEG_FIRST:
+            position = found.end()
+            continue
+        position = found.end() + max(2, int.from_bytes(data[found.end() : found.end() + 2], "big"))
 
 
 def check_jpeg(data: bytes) -> None:
@@ -137,6 +202,11 @@ def check_jpeg(data: bytes) -> None:
     damage = _damage(data)
     if damage and not _JPEG_PADDING.fullmatch(damage):
         raise ValueError(f"damaged JPEG: {damage.removeprefix('Corrupt JPEG data: ')}")
+
+
+def has_many_scans(data: bytes) -> bool:
+    """Whether a frame of MJPEG may have more than `MAX_SCANS` scans in all its pictures, wherever they begin."""
+    return data.count(bytes([0xFF, _JPEG_SCAN])) > MAX_SCANS
 
 
 def is_damaged_mjpeg(data: bytes, max_pixels: int) -> bool:
@@ -188,6 +258,27 @@ def size_px(data: bytes) -> tuple[int, int] | None:
     return None
 
 
+def unread_kind(data: bytes) -> str:
+    """What kind of image it is, whole or not, of those that nothing here decodes; empty for others."""
+    if data[4:8] == b"ftyp" and data[8:12] in BRANDS_OF_PHONES:
+        return "HEIC or AVIF"
+    return next((kind for signature, kind in _UNREAD if data.startswith(signature)), "")
+
+
+def odd_tiff(data: bytes) -> str:
+    """What is unusual about the values in a TIFF, for which it may not be decoded; empty for other TIFFs and images."""
+    if not data.startswith((b"II", b"MM")):
+        return ""
+    page = next(_tiff_pages(data, *_tiff_start(data)))
+    bits, coding = page.get(_TIFF_BITS, 1), page.get(_TIFF_CODING, 1)
+    is_float = page.get(_TIFF_FORMAT) == _TIFF_FLOAT
+    if coding in _TIFF_CODINGS:
+        return f"a TIFF that is compressed by {_TIFF_CODINGS[coding]}"
+    if bits not in ((32, 64) if is_float else (1, 8, 16)):
+        return f"a TIFF with {'floats' if is_float else 'values'} of {bits} bits"
+    return ""
+
+
 def at_full_scale(data: bytes) -> tuple[bytes, int | None]:
     """A PGM or PPM with 255 or 65535 as its maxval, and the maxval that it had: the value of white; None for others.
 
@@ -218,10 +309,7 @@ def _tiff_size_px(data: bytes) -> tuple[int, int]:
 
     Source: TIFF 6.0, section 2; BigTIFF.
     """
-    order = "<" if data.startswith(b"II") else ">"
-    is_big = struct.unpack_from(order + "H", data, 2)[0] == 43
-    pointer = order + ("Q" if is_big else "I")
-    first, *others = _tiff_pages(data, order, is_big, struct.unpack_from(pointer, data, 8 if is_big else 4)[0])
+    first, *others = _tiff_pages(data, *_tiff_start(data))
     for page in others:
         if not page.get(_TIFF_KIND, 0) & _TIFF_REDUCED:
             raise ValueError(ONE_IMAGE)
@@ -231,6 +319,13 @@ def _tiff_size_px(data: bytes) -> tuple[int, int]:
         raise ValueError("expected a TIFF in which 0 is black, got one in which it is white; save it the usual way")
     width, height, tile_width, tile_height = (first.get(tag, 0) for tag in _TIFF_SIZES)
     return max(height, tile_height), max(width, tile_width)
+
+
+def _tiff_start(data: bytes) -> tuple[str, bool, int]:
+    """Byte order, whether it is a BigTIFF, and where its first page is."""
+    order = "<" if data.startswith(b"II") else ">"
+    is_big = struct.unpack_from(order + "H", data, 2)[0] == 43
+    return order, is_big, struct.unpack_from(order + ("Q" if is_big else "I"), data, 8 if is_big else 4)[0]
 
 
 def _tiff_pages(data: bytes, order: str, is_big: bool, offset: int) -> Iterator[dict[int, int]]:
@@ -245,11 +340,20 @@ def _tiff_pages(data: bytes, order: str, is_big: bool, offset: int) -> Iterator[
             if tag in _TIFF_SIZES and kind not in _TIFF_TYPES:
                 raise ValueError(f"damaged TIFF, expected a whole number as {_TIFF_SIZES[tag]}, got type {kind}")
             if tag in _TIFF_SIZES or (tag in _TIFF_OTHERS and kind in _TIFF_TYPES):
-                (values[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, entry + inside)
+                place = entry + inside
+                if tag in (_TIFF_BITS, _TIFF_FORMAT) and _tiff_is_apart(data, order, is_big, entry):
+                    (place,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, place)
+                (values[tag],) = struct.unpack_from(order + _TIFF_TYPES[kind], data, place)
         yield values
         (offset,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, offset + head + step * num)
         if not offset:
             return
+
+
+def _tiff_is_apart(data: bytes, order: str, is_big: bool, entry: int) -> bool:
+    """Whether the values of an entry, one of each channel, lie elsewhere, as they are too many to lie in it."""
+    (num,) = struct.unpack_from(order + ("Q" if is_big else "I"), data, entry + 4)
+    return bool(num * 2 > (8 if is_big else 4))
 
 
 def _has_gif_frames(data: bytes) -> bool:

@@ -368,5 +368,8 @@ def _images_in(folder: Path) -> tuple[list[Path], list[str]]:
     if not files:
         below = "" if messages else _folders_below(folder)
         hint = f" but in folders below it: {below}; run each by itself" if below else ""
+        bags = sorted(path.name for path in paths if path.suffix.lower() in (".db3", ".mcap"))
+        if bags and not hint:
+            hint = f", nor the metadata.yaml of a ROS 2 bag, whose file {bags[0]} can be read by itself"
         raise ValueError([*messages, f"{folder}: expected images ({known_formats()}), found none{hint}"][0])
     return sorted(files, key=lambda path: (natural_key(path.name), path.name)), messages

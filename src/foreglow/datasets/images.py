@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.datasets.image_bytes import (
-    GIF_SIGNATURES,
     JPEG_SIGNATURE,
     PNG_END,
     PNG_SIGNATURE,
     at_full_scale,
     check_jpeg,
+    odd_tiff,
     png_size_px,
     size_px,
+    unread_kind,
+    without_asides,
 )
 from foreglow.files import check_file, checked_path, read_bytes
 from foreglow.types import Image
@@ -66,10 +68,6 @@ IMAGE_SUFFIXES = frozenset(
     }
 )
 """Endings, in lower case, by which a file in a folder is taken for an image."""
-
-
-BRANDS_OF_PHONES = frozenset({b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif", b"avis"})
-"""How a HEIC or AVIF begins, whatever its file is called: phones take such images, and nothing here decodes them."""
 
 Chroma: TypeAlias = Image
 """How red what is in an image is, at half its size; see `red_chroma`."""
@@ -277,13 +275,13 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
             check_size(*size, "header")
         if data.startswith(JPEG_SIGNATURE):
             check_jpeg(data)
+        if data.startswith(PNG_SIGNATURE):
+            data = without_asides(data)
         data, white = at_full_scale(data)
     except ValueError as error:
         raise ValueError(f"{origin}: {error}") from None
-    if data[4:8] == b"ftyp" and data[8:12] in BRANDS_OF_PHONES:
-        raise ValueError(f"{origin}: expected an image ({known_formats()}), is HEIC or AVIF; convert it first")
-    if data.startswith(GIF_SIGNATURES):
-        raise ValueError(f"{origin}: expected an image ({known_formats()}), is a GIF; convert it first")
+    if kind := unread_kind(data):
+        raise ValueError(f"{origin}: expected an image ({known_formats()}), is {kind}; convert it first")
     if size is None:
         raise ValueError(none)
     try:
@@ -292,6 +290,8 @@ def _decoded(data: bytes, origin: str) -> NDArray[Any]:
     except cv2.error as error:
         raise ValueError(f"{origin}: expected an image, cannot be decoded: {error.err or error.code}") from None
     if array is None:
+        if odd := odd_tiff(data):
+            none = f"{origin}: expected an image ({known_formats()}), is {odd}, cannot be decoded; convert it first"
         raise ValueError(none)
     check_size(array.shape[0], array.shape[1], origin)
     return np.asarray(array) if white is None else _to_full_scale(np.asarray(array), white)

@@ -13,7 +13,15 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from foreglow.files import MAX_JSON_BYTES, bounded_lines, check_file, check_json, check_json_keys, read_bytes
+from foreglow.files import (
+    MAX_JSON_BYTES,
+    bounded_lines,
+    check_encoding,
+    check_file,
+    check_json,
+    check_json_keys,
+    read_bytes,
+)
 from foreglow.whole_files import write_atomic
 from foreglow.wording import shortened
 
@@ -115,7 +123,9 @@ def read_json(path: Path, model: type[Model]) -> Model:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be read, is not JSON, or does not fit the model.
     """
-    return parse_json(read_bytes(path, MAX_JSON_BYTES).removeprefix(codecs.BOM_UTF8), model, str(path))
+    data = read_bytes(path, MAX_JSON_BYTES).removeprefix(codecs.BOM_UTF8)
+    check_encoding(data, path)
+    return parse_json(data, model, str(path))
 
 
 def read_json_lines(path: Path, model: type[Model]) -> Iterator[tuple[str, Model]]:
@@ -142,7 +152,7 @@ def read_lines(path: Path) -> Iterator[bytes]:
         for number, line in enumerate(bounded_lines(file, path, MAX_LINE_BYTES), start=1):
             if number > MAX_LINES:
                 raise ValueError(f"{path}: expected at most {MAX_LINES} lines, got more")
-            yield line
+            yield line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
 
 
 def write_json(path: Path, record: BaseModel) -> None:

@@ -165,7 +165,7 @@ def _read(path: Path) -> Headlamps:
 def _lamp(path: Path, side: Side, lamp: LampDescription, grid: LedGrid | None) -> Headlamp:
     aim = rotation(float(np.radians(lamp.yaw_deg)), float(np.radians(lamp.pitch_deg)))
     made = Headlamp(Pose(np.array(lamp.position_m), aim), _matrix(path, side, lamp, grid))
-    name = f"{path}: {side}.base"
+    name = f"{path}: {side}.base" if lamp.base else f"{path}: {side}.pitch_deg"  # the built-in one shines ahead
     try:
         check_base_aim(made.matrix.base, made.vehicle_from_lamp)
         name = f"{path}: grid, as {side} aims it" if lamp.led_files is None else f"{path}: {side}.led_files"

@@ -14,7 +14,7 @@ from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.numbers import checked_floats, checked_whole
 from foreglow.photometry.intensity import IntensityTable
-from foreglow.photometry.resampling import MAX_CELLS, bilinear, check_kept
+from foreglow.photometry.resampling import MAX_CELLS, ROWS_AT_ONCE, bilinear, check_kept
 from foreglow.types.arrays import check_kind, checked_array
 from foreglow.wording import shortened
 
@@ -32,6 +32,9 @@ FINEST_STEP_DEG = 0.05
 
 MAX_LED_CELLS = 64_000_000
 """Cells of all LEDs of a lamp, 256 MB: a thousand LEDs with a table of 250 by 250 each."""
+
+MIN_ROW_STEP_DEG = 0.1
+"""Least angle between rows; those of radians, of rows up to 5 degrees apart, are closer."""
 
 MAX_LEDS = 1024
 """LEDs of a lamp: the guard's tables take 0.6 MB for each, whatever its own table."""
@@ -143,6 +146,11 @@ class LedGrid(FrozenModel):
         _check_num_leds(self.num_columns * len(elevations), "num_columns")
         if list(elevations) != sorted(set(elevations)):
             raise ValueError(f"row_elevations_deg: expected growing numbers, got {list(elevations)}")
+        if len(elevations) > 1 and min(np.diff(elevations)) < MIN_ROW_STEP_DEG - 1e-9:
+            raise ValueError(
+                f"row_elevations_deg: expected rows at least {MIN_ROW_STEP_DEG:g} degrees apart, got "
+                f"{list(elevations)}; are these radians?"
+            )
         if len(peaks) != len(elevations):
             raise ValueError(f"row_peaks_cd: expected one for each of {len(elevations)} rows, got {len(peaks)}")
         for side in ("width", "height"):
@@ -189,7 +197,10 @@ def grid_lamp(base: IntensityTable, grid: LedGrid, turn_deg: float = 0.0) -> Mat
     along = _edged(base.elevations_deg[rows] - row_elevations[:, np.newaxis], grid.half_height_deg, grid)
     to_the_side = np.exp(-0.5 * (column_azimuths / grid.side_sigma_deg) ** 2)
     peaks = np.outer(grid.row_peaks_cd, to_the_side) + grid.everywhere_cd
-    leds = np.einsum("rc,re,ca->rcea", peaks, along, across).reshape(peaks.size, along.shape[1], across.shape[1])
+    leds = np.empty((*peaks.shape, along.shape[1], across.shape[1]), np.float32)
+    for row, light in enumerate(leds):  # of all rows at once, there would be several times the memory
+        light[:] = np.einsum("c,e,ca->cea", peaks[row], along[row], across)
+    leds = leds.reshape(peaks.size, *leds.shape[2:])
     azimuths, elevations = np.tile(column_azimuths, len(row_elevations)), np.repeat(row_elevations, grid.num_columns)
     return MatrixLamp(base, columns, rows, _frozen(leds), azimuths, elevations, grid.num_columns)
 
@@ -263,7 +274,7 @@ def _edged(angles_deg: Floats, half_width_deg: float, grid: LedGrid) -> Floats:
 
 
 def _frozen(leds_cd: NDArray[np.float32] | Floats) -> NDArray[np.float32]:
-    leds = leds_cd.astype(np.float32)
+    leds = leds_cd.astype(np.float32, copy=False)
     leds.flags.writeable = False
     return leds
 
@@ -308,10 +319,13 @@ def _step(grid_deg: Floats) -> float:
 
 
 def _sampled(table: IntensityTable, azimuths_deg: Floats, elevations_deg: Floats) -> NDArray[np.float32]:
-    azimuth, elevation = np.meshgrid(azimuths_deg, elevations_deg)
-    return bilinear(
-        table.intensities_cd.astype(np.float64), table.elevations_deg, table.azimuths_deg, elevation, azimuth
-    )
+    candela = table.intensities_cd.astype(np.float64)
+    sampled = np.empty((len(elevations_deg), len(azimuths_deg)), np.float32)
+    for begin in range(0, len(elevations_deg), ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
+        azimuth, elevation = np.meshgrid(azimuths_deg, elevations_deg[rows])
+        sampled[rows] = bilinear(candela, table.elevations_deg, table.azimuths_deg, elevation, azimuth)
+    return sampled
 
 
 def _lit_span(grid_deg: Floats, candela: NDArray[np.float32]) -> tuple[float, float]:

@@ -20,11 +20,14 @@ COARSEST_STEP_DEG = 1.0
 MAX_CELLS = 8_000_000
 """Cells of a table, 32 MB; over larger areas the finest step is longer: .09 degrees over the whole sphere."""
 
+MAX_CELLS_A_VALUE = 10_000
+"""Cells of a table for each of the file's values: a few, two of which are close, do not tell of fine structure."""
+
 MIN_KEPT = 0.75
 """Least share of a peak that is left of it between the angles of a new table: whoever must not be dazzled is by the
 peak. Three values over its upper half are enough."""
 
-_ROWS_AT_ONCE = 64
+ROWS_AT_ONCE = 64
 """Rows of a table that are resampled together: what is needed in between takes 100 bytes a cell."""
 
 
@@ -56,14 +59,16 @@ def resampled(
         reach = 90.0 if np.abs(verticals).max() <= 90.0 else 180.0
         elevation_span, azimuth_span = (-90.0, 90.0), (-reach, reach)
     spans_deg = [last - first for first, last in (azimuth_span, elevation_span)]
-    step = max(step, float(np.sqrt(spans_deg[0] * spans_deg[1] / MAX_CELLS)))
+    area = spans_deg[0] * spans_deg[1]
+    step = max(step, min(COARSEST_STEP_DEG, float(np.sqrt(area / (MAX_CELLS_A_VALUE * candela.size)))))
+    step = max(step, float(np.sqrt(area / MAX_CELLS)))
     azimuths, elevations = (
         np.linspace(first, last, max(2, round((last - first) / step) + 1))
         for first, last in (azimuth_span, elevation_span)
     )
     table = np.empty((len(elevations), len(azimuths)), np.float32)
-    for begin in range(0, len(elevations), _ROWS_AT_ONCE):
-        rows = slice(begin, begin + _ROWS_AT_ONCE)
+    for begin in range(0, len(elevations), ROWS_AT_ONCE):
+        rows = slice(begin, begin + ROWS_AT_ONCE)
         azimuth, elevation = np.meshgrid(azimuths, elevations[rows])
         vertical, horizontal = _file_angles(kind, azimuth, elevation, horizontals)
         table[rows] = bilinear(candela, verticals, horizontals, vertical, horizontal)

@@ -237,9 +237,8 @@ def lack_of_run(folder: Path, num_frames: int | None = None) -> str | None:
     if summary.source_lack is not None and not summary.is_interrupted:
         return f"{folder}: made from {summary.source_lack}"
     if not summary.is_complete:
-        return (
-            f"{folder}: the run was interrupted after {summary.num_frames} frames, what is made from it is incomplete"
-        )
+        num = f"{summary.num_frames} frame" + "s" * (summary.num_frames != 1)
+        return f"{folder}: the run was interrupted after {num}, what is made from it is incomplete"
     if summary.num_lost_parts:
         return f"{folder}: frames may be missing from the run, its recording is damaged: {summary.skipped[0]}"
     if num_frames is not None and num_frames < summary.num_frames and summary.live is None:  # a live run may lose some

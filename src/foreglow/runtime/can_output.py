@@ -205,16 +205,19 @@ def open_bus(channel: str, ids: Collection[CanKey] = ()) -> LastingBus:
 
     if not isinstance(channel, str) or not channel:
         raise ValueError(f"channel: expected the name of a bus, such as can0 or virtual:name, got {channel!r:.80}")
-    interface, _, group = channel.partition(":")
+    interface, colon, group = channel.partition(":")
     if interface == "udp_multicast" and not _is_multicast(group):
         wanted = "the address of a multicast group, from 224.0.0.0 to 239.255.255.255 or in ff00::/8"
         raise ValueError(f"{channel}: expected {wanted}, got {group!r}")
+    if colon and not group:
+        raise ValueError(f"{channel}: expected the name of a channel behind the colon, such as {interface}:0")
     try:
         return LastingBus(channel, ids)
     except can.CanInterfaceNotImplementedError as error:
         raise ValueError(f"{channel}: expected an interface of python-can: {error}") from None
     except (can.CanError, OSError) as error:
-        raise OSError(f"{channel}: {error}") from error
+        expected = "" if colon else "; expected a bus of SocketCAN, or INTERFACE:CHANNEL of python-can"
+        raise OSError(f"{channel}: {error}{expected}") from error
     except Exception as error:  # a driver that is missing, or that fails in its own way without one
         raise ValueError(
             f"{channel}: expected a bus whose driver is installed and works: {described(error)}"

@@ -236,3 +236,12 @@ def test_the_plain_files_behind_these_can_be_read(tmp_path: Path) -> None:
         path = tmp_path / f"labels{suffix}"
         path.write_text(content)
         assert read_labels_file(path).images
+
+
+@pytest.mark.parametrize("name", ["a.xml", "a.json"])
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_labels_in_utf_16_are_told(tmp_path: Path, name: str, encoding: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(("\ufeff" + (image() if name == "a.xml" else coco())).encode(encoding))
+    with pytest.raises(ValueError, match=rf"{name}: expected UTF-8 text, is UTF-16: save it as UTF-8$"):
+        read_labels_file(path)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets.vehicle_logs import read_can_log, write_can_log
-from foreglow.datasets.vehicle_logs.can_log import read_dbc, read_mapping
+from foreglow.datasets.vehicle_logs.can_log import CanDecoder, read_dbc, read_mapping
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.street_data import StreetDataError, StreetMap
@@ -415,3 +415,26 @@ def test_a_type_of_a_signal_that_is_none_is_refused(tmp_path: Path, words: str) 
         read_dbc(path)
     path.write_text(f"{signal}\nSIG_VALTYPE_ 256 Speed : 1;\n")
     assert read_dbc(path)["Motion"].signals[0].is_float
+
+
+def test_a_float_of_the_wrong_length_is_refused(tmp_path: Path) -> None:
+    """cantools takes 16 bits for a float of its own, and the speed would be another one."""
+    dbc, mapping = tmp_path / "car.dbc", tmp_path / "car.toml"
+    signal = ' SG_ Speed : 0|16@1+ (1,0) [0|0] "m/s" Car\n SG_ Yaw : 32|16@1- (1,0) [0|0] "rad/s" Car\n'
+    dbc.write_text(f"BO_ 256 Motion: 8 Car\n{signal}\nSIG_VALTYPE_ 256 Speed : 1;\n")
+    parts = (
+        f'[{name}]\nmessage = "Motion"\nsignal = "{own}"\n' for name, own in (("speed", "Speed"), ("yaw_rate", "Yaw"))
+    )
+    mapping.write_text("".join(parts))
+    with pytest.raises(
+        ValueError, match=r"car\.dbc: Motion: Speed: expected a float of 32 bits or a double of 64, got 16"
+    ):
+        CanDecoder(dbc, mapping)
+
+
+def test_a_long_line_is_not_quoted_whole(tmp_path: Path) -> None:
+    path = tmp_path / "car.dbc"
+    path.write_text(100_000 * "(")
+    with pytest.raises(ValueError, match=r"car\.dbc: expected a DBC file: ") as caught:
+        read_dbc(path)
+    assert len(str(caught.value)) < 500

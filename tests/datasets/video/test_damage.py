@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from foreglow.datasets import Video
-from foreglow.datasets.image_bytes import is_damaged_mjpeg
+from foreglow.datasets.image_bytes import MAX_SCANS, is_damaged_mjpeg
 from foreglow.datasets.source import OnError
 from foreglow.datasets.video.h264_numbers import H264Numbers
+from tests.bombs import many_scans
 from tests.datasets.video.test_video_file import NUM_FRAMES, make_video
 
 GOP = 12
@@ -358,6 +359,22 @@ def test_whole_mjpeg_of_cameras_is_no_damage(tmp_path: Path) -> None:
     assert not is_damaged_mjpeg(b"", 1 << 26)
     assert not is_damaged_mjpeg(frame[: size // 2], 1000)
     assert is_damaged_mjpeg(frame[: size // 2], 1 << 26)
+
+
+def test_a_frame_of_mjpeg_with_many_scans_is_not_decoded(tmp_path: Path) -> None:
+    """It would take seconds; what is in its place is told, and the frames behind it are read."""
+    path = tmp_path / "clip.avi"
+    frames = [many_scans(0, 96), many_scans(0, 96), many_scans(MAX_SCANS, 96), *3 * [many_scans(0, 96)]]
+    with av.open(str(path), "w") as container:
+        stream: Any = container.add_stream("mjpeg", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 96, "yuvj420p"
+        for index, data in enumerate(frames):
+            packet = av.Packet(data)
+            packet.stream, packet.pts, packet.dts, packet.is_keyframe = stream, index, index, True
+            container.mux(packet)
+    assert [frame.is_damaged for frame in Video(path, on_error="mark")] == [False, False, True, False, False]
+    with pytest.raises(ValueError, match=r"clip\.avi: frame 2: expected an undamaged frame"):
+        list(Video(path))
 
 
 def test_the_lost_rest_of_a_matroska_file_is_told(tmp_path: Path) -> None:

@@ -196,12 +196,10 @@ def test_only_so_many_sequences_have_a_section(tmp_path: Path, monkeypatch: pyte
 def test_key_moments() -> None:
     results = [made_up(number, faults=("x",) if number < 3 else ())[1] for number in range(1, 5)]
     moments = [(key_moment.words, key_moment.result.frame, key_moment.time_s) for key_moment in key_moments(results)]
-    assert moments[:3] == [
-        ("first light artifact", 1, 0.0),
-        ("first confirmed track", 1, 0.0),
+    assert moments == [
+        ("first light artifact; first confirmed track; slowest frame, 0.2 ms", 1, 0.0),
         ("first dark gap", 3, 0.1),
     ]
-    assert moments[3][0] == "slowest frame, 0.2 ms"
 
 
 @pytest.fixture(scope="module")
@@ -219,7 +217,9 @@ def test_the_drive_that_ships(shipped: Path) -> None:
     assert result.stdout == f"look in {path}\n"
     page = Page(path)
     check_self_contained(page, path)
-    assert [picture.shape[1] for picture in page.pictures("jpeg")] == [960] * 4
+    shown = re.findall(r" s, frame (\d+): ", page.text)
+    assert len(set(shown)) == len(shown) >= 2
+    assert [picture.shape[1] for picture in page.pictures("jpeg")] == [960] * len(shown)
     assert "first dark gap" in page.text
     assert path.stat().st_size < 2e6
     again = shipped / "again.html"

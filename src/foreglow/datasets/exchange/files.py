@@ -13,7 +13,7 @@ from foreglow.datasets.exchange.coco import coco_text, read_coco
 from foreglow.datasets.exchange.cvat import cvat_text, cvat_video_text, read_cvat
 from foreglow.datasets.exchange.label_studio import label_studio_text, read_label_studio
 from foreglow.datasets.exchange.marks import LabelSet
-from foreglow.files import checked_path
+from foreglow.files import check_encoding, checked_path
 
 _HEAD_BYTES = 4096
 
@@ -88,6 +88,9 @@ def read_labels_file(path: Path | str) -> LabelSet:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file, expected labels of CVAT, COCO or Label Studio")
     name = label_format_of(path)
+    if name is None and path.is_file():
+        with path.open("rb") as file:
+            check_encoding(file.read(2), path)
     if name is None:
         raise ValueError(f"{path}: expected labels of CVAT (.xml), COCO or Label Studio (.json), got another file")
     return LABEL_FORMATS[name].read(path)

@@ -228,7 +228,7 @@ def read_dbc(path: Path) -> dict[str, Message]:
         # Not strict: public descriptions of real cars have signals that overlap.
         database = cantools.database.load_string(text, database_format="dbc", strict=False)
     except (cantools.Error, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: expected a DBC file: {error}") from None
+        raise ValueError(f"{path}: expected a DBC file: {error!s:.200}") from None
     messages = cast("Database", database).messages
     _check_names([message.name for message in messages], f"{path}: messages")
     found: dict[str, Message] = {}
@@ -388,6 +388,8 @@ def _check_signal(signal: Signal, origin: str) -> None:
     if not (math.isfinite(signal.scale) and math.isfinite(signal.offset) and signal.scale):
         expected = "expected a finite scale other than 0, and a finite offset"
         raise ValueError(f"{origin}: {expected}, got ({signal.scale:g},{signal.offset:g})")
+    if signal.is_float and signal.length not in (32, 64):  # cantools takes any, and makes another number of it
+        raise ValueError(f"{origin}: expected a float of 32 bits or a double of 64, got {signal.length} bits")
     least, most = signal.minimum, signal.maximum
     if least is not None and most is not None and not (least < most or least == most == 0):
         raise ValueError(f"{origin}: expected a range that rises, or [0|0] for none, got [{least:g}|{most:g}]")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from foreglow.datasets.image_bytes import is_damaged_mjpeg
+from foreglow.datasets.image_bytes import has_many_scans, is_damaged_mjpeg
 from foreglow.datasets.images import MAX_SIDE_PX, Chroma, if_coloured, red_chroma
 from foreglow.datasets.video.coded_units import has_forbidden_bytes, size_bytes_of
 from foreglow.datasets.video.containers.transport import Losses, with_losses
@@ -120,6 +120,9 @@ def decoded(container: Any, stream: Any, losses: Losses | None = None) -> Iterat
             if packet.is_discard:  # an edit list shows only what comes later
                 key = number
         data = bytes(packet) if packet.size else b""
+        if codec.name == "mjpeg" and has_many_scans(data):
+            damaged = number
+            continue
         is_wrong = bool(packet.is_corrupt)
         if checksums is not None and data:
             is_wrong |= checksums.are_wrong(data)

@@ -62,7 +62,10 @@ def write_report(folder: Path, path: Path | None = None) -> Path:
 
 
 def key_moments(results: Sequence[FrameResult]) -> tuple[KeyMoment, ...]:
-    """First light, first confirmed track, first gap and the slowest frame of a sequence, as far as there are any."""
+    """First light, first confirmed track, first gap and the slowest frame of a sequence, as far as there are any.
+
+    A frame that is several of them is there once.
+    """
     tests = {
         "first light artifact": lambda result: result.detections is not None and result.detections.is_accepted.any(),
         "first confirmed track": lambda result: (
@@ -76,10 +79,11 @@ def key_moments(results: Sequence[FrameResult]) -> tuple[KeyMoment, ...]:
         slowest = max(timed, key=lambda result: sum(result.stage_ms.values()))
         found.append((f"slowest frame, {sum(slowest.stage_ms.values()):.1f} ms", slowest))
     begin_ns = results[0].timestamp_ns
+    words_of = {id(result): "; ".join(each for each, other in found if other is result) for _, result in found}
     return tuple(
-        KeyMoment(words, (result.timestamp_ns - begin_ns) / 1e9, result)
-        for words, result in found
-        if result is not None
+        KeyMoment(words_of.pop(id(result)), (result.timestamp_ns - begin_ns) / 1e9, result)
+        for _, result in found
+        if result is not None and id(result) in words_of
     )
 
 
