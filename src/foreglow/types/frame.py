@@ -65,10 +65,14 @@ class EgoMotion(Value):
 
     def __post_init__(self) -> None:
         for name in ("speed_mps", "yaw_rate_radps"):
-            if not math.isfinite(checked_number(f"EgoMotion.{name}", getattr(self, name))):
-                raise ValueError(f"EgoMotion.{name}: expected a finite number, got {getattr(self, name)}")
-        if math.isinf(checked_number("EgoMotion.pitch_rad", self.pitch_rad)):
-            raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {self.pitch_rad}")
+            number = checked_number(f"EgoMotion.{name}", getattr(self, name))
+            if not math.isfinite(number):
+                raise ValueError(f"EgoMotion.{name}: expected a finite number, got {number}")
+            object.__setattr__(self, name, number)
+        pitch_rad = checked_number("EgoMotion.pitch_rad", self.pitch_rad)
+        if math.isinf(pitch_rad):
+            raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {pitch_rad}")
+        object.__setattr__(self, "pitch_rad", pitch_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +120,9 @@ class RoadAhead(Value):
             raise ValueError(f"RoadAhead.half_width_m: expected a positive number, got {self.half_width_m}")
         if half_width_m > MAX_HALF_WIDTH_M:
             raise ValueError(f"RoadAhead.half_width_m: expected at most {MAX_HALF_WIDTH_M:g}, got {self.half_width_m}")
-        if not checked_number("RoadAhead.error_bound_m", self.error_bound_m) >= 0:
-            raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {self.error_bound_m}")
+        error_bound_m = checked_number("RoadAhead.error_bound_m", self.error_bound_m)
+        if not error_bound_m >= 0:
+            raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {error_bound_m}")
         slopes = checked_floats("RoadAhead.cross_slopes", self.cross_slopes)
         if not slopes.size:
             slopes = np.zeros(len(points))
@@ -127,7 +132,9 @@ class RoadAhead(Value):
             expected = f"expected rises for each metre of at most {MAX_CROSS_SLOPE:g}, not percent"
             raise ValueError(f"RoadAhead.cross_slopes: {expected}, got {np.abs(slopes).max():g}")
         object.__setattr__(self, "points_m", frozen_view(points))
+        object.__setattr__(self, "half_width_m", half_width_m)
         object.__setattr__(self, "cross_slopes", frozen_view(slopes))
+        object.__setattr__(self, "error_bound_m", error_bound_m)
 
     def __len__(self) -> int:
         return len(self.points_m)
