@@ -95,7 +95,7 @@ def rotation_angles_rad(turned: ArrayLike) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Position and orientation of a body in an outer frame: dst_from_body.
+    """Position and orientation of a body in an outer frame: dst_from_body. It is equal to itself alone, not to copies.
 
     Attributes:
         position_m: Shape (3,), the body's origin in the outer frame.
@@ -345,7 +345,11 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             u, v = self._distorted(-points[..., 1] / forward, -points[..., 2] / forward)
             x, y = self.centre_px[0] + self.focal_px[0] * u, self.centre_px[1] + self.focal_px[1] * v
-            return np.where(np.isfinite(x + y)[..., None], np.stack([x, y], -1), np.nan)
+            is_anywhere = np.isfinite(x + y)
+        pixels = np.stack([x, y], -1)
+        if not is_anywhere.all():
+            pixels[~is_anywhere] = np.nan
+        return pixels
 
     def rays(self, pixels: ArrayLike) -> Floats:
         """Unit directions, shape (..., 3), in the camera's frame, through the pixels (x, y) of shape (..., 2);

@@ -16,7 +16,7 @@ def checked_floats(field: str, values: object) -> NDArray[np.float64]:
     """A copy of `values`, a number or numbers of any shape, as float64.
 
     Raises:
-        ValueError: If they are something else; the message begins with `field`.
+        ValueError: If they are something else, such as truth values; the message begins with `field`.
 
     >>> checked_floats("Pose.position_m", {})
     Traceback (most recent call last):
@@ -24,7 +24,7 @@ def checked_floats(field: str, values: object) -> NDArray[np.float64]:
     """
     with contextlib.suppress(ValueError):  # lists of several lengths
         array = np.array(values)
-        if array.dtype.kind in "biuf" and not np.ma.is_masked(values):
+        if array.dtype.kind in "iuf" and not np.ma.is_masked(values):
             return array.astype(np.float64)
     raise ValueError(f"{field}: expected numbers, got {shortened(values)}")
 

@@ -16,7 +16,7 @@ _INT32, _FLOAT32, _FLOAT64 = np.dtype(np.int32), np.dtype(np.float32), np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals(Value):
-    """Boxes that may hold a light artifact, sorted by y1, x1, y2, x2.
+    """Boxes that may hold a light artifact; a `Proposer` sorts them by y1, x1, y2, x2.
 
     Attributes:
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels; N = 0 means that nothing stands out.

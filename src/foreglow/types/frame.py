@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from types import MappingProxyType, NoneType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,7 +195,7 @@ class Frame(Value):
             )
         if self.image.dtype not in (np.uint8, np.uint16):
             raise ValueError(
-                f"{origin}Frame.image: expected uint8 or uint16, got {self.image.dtype}; {_remedy(self.image)}"
+                f"{origin}Frame.image: expected uint8 or uint16, got {_dtype_words(self.image)}; {_remedy(self.image)}"
             )
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
@@ -265,8 +266,15 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = MappingProxyType(
 """What the value of a field is."""
 
 
+def _dtype_words(image: NDArray[Any]) -> str:
+    own = image.dtype.newbyteorder("=")
+    return f"{own}" if own == image.dtype else f"{own} with the bytes of each pixel in another order"
+
+
 def _remedy(image: object) -> str:
     """What to call for a value that is no grey image."""
     if isinstance(image, str | PathLike):
         return "foreglow.open_source(path) yields the frames of an image, a folder or a video"
+    if isinstance(image, np.ndarray) and image.ndim == 2 and not image.dtype.isnative:
+        return f"image.astype('{image.dtype.newbyteorder('=')}') has them in this machine's"
     return "foreglow.to_grey(image) takes colour (R, G, B) and floats in [0, 1]"

@@ -135,7 +135,7 @@ class LiveLoop:
         self._period_s = 1.0 / float(source.rate_hz or config.live.rate_hz)  # by the frames' clock
         self._wait_s = self._period_s / (1.0 if source.is_lossless else float(source.speed))
         # With a lossless source, which waits for the computation, a slow machine is no fault.
-        self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
+        self._max_step_s = float(source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
         self._told_ns = (0, time.monotonic_ns())  # the source's clock, and when it was asked
         self._book = FaultBook(self._now_ns, (CAMERA, STAGE, BUS))
@@ -209,7 +209,7 @@ class LiveLoop:
             speed=float(self._source.speed),
             max_silence_s=self._source.max_silence_s,
         )
-        limit_s = (self._source.max_silence_s or LIMIT_S) if self._source.is_lossless else LIMIT_S
+        limit_s = float(self._source.max_silence_s or LIMIT_S) if self._source.is_lossless else LIMIT_S
         self._outlets = [Outlet(output, limit_s) for output in self._outputs]
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
