@@ -64,7 +64,7 @@ MADE: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "line": (lambda value: CentreLine(LINE, value).half_width_m, np.float32(3.5)),
     "origin": (lambda value: GeographicOrigin(value, 9.0).latitude_deg, np.float32(48.5)),
     "sigmas": (lambda value: MountSigmas(value).yaw_rad, np.longdouble(0.25)),
-    "camera": (lambda value: Camera(value, 48, (60, 60), (32, 24), (0.0,) * 5, POSE).width_px, np.int64(64)),  # type: ignore[arg-type]
+    "camera": (lambda value: Camera(value, 48, (60, 60), (32, 24), (0.0,) * 5, POSE).width_px, np.int64(64)),
     "threshold": (lambda value: detections(value).score_threshold, np.float32(0.5)),
     "replay": (lambda value: Paced(ListSource([]), value).speed, np.float32(2.0)),
     "requested": (lambda value: CameraOptions(rate_hz=value).rate_hz, np.float32(20.0)),
@@ -139,7 +139,8 @@ def test_a_live_loop_at_a_rate_and_speed_of_numpy_s(kind: Callable[[float], Any]
 
 
 def test_a_can_log_of_motions_in_single_precision(tmp_path: Path) -> None:
-    write_can_log(tmp_path / "log.asc", [], [(0, EgoMotion(np.float32(20.5), np.float32(0.0)))])
+    speed_mps: Any = np.float32(20.5)
+    write_can_log(tmp_path / "log.asc", [], [(0, EgoMotion(speed_mps, 0.0))])
     motion = read_can_log(tmp_path / "log.asc").motion(0)
     assert motion is not None
     assert motion.speed_mps == pytest.approx(20.5, abs=0.01)

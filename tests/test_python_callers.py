@@ -179,7 +179,7 @@ def test_images_are_no_frames_of_a_drive() -> None:
         list(PIPELINE.run(images))
     source = ListSource(images)
     log = SimpleNamespace(camera=1, motion=1, road=1, of_one_drive=("a log",))
-    for frames in (Paced(source, math.inf), Equipped(source, log)):  # type: ignore[arg-type]
+    for frames in (Paced(source, math.inf), Equipped(source, log)):
         with pytest.raises(ValueError, match=r"^source: expected Frame, got ndarray"):
             list(frames)
     with pytest.raises(ValueError, match=r"^source: expected Frame, got ndarray"):
