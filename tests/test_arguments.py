@@ -10,12 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from foreglow.beam.gap_writer import GapWriter
+from foreglow.beam.occurrence import Occurrence
 from foreglow.calibration import calibration_to_toml, read_calibration, read_intrinsics
-from foreglow.datasets import LabelledImage, PVDNWriter, Sequence
+from foreglow.config import BeamConfig
+from foreglow.datasets import LabelledImage, PVDNWriter, Sequence, open_source
+from foreglow.datasets.vehicle_logs import CanLog
 from foreglow.geometry import Camera, Pose, rotation, rotation_angles_rad
-from foreglow.lab.evaluation import break_down, match_lights
+from foreglow.lab.evaluation import break_down, examine, match_lights
 from foreglow.lab.evaluation.bootstrap import paired_bootstrap, percentile_interval, scene_counts
+from foreglow.lab.evaluation.boxes.breakdown import LightMatches
 from foreglow.lab.evaluation.boxes.matching import match_boxes
+from foreglow.lab.learning.recipes import RECIPES, changed
 from foreglow.lab.simulation import (
     Drive,
     Scene,
@@ -32,6 +38,7 @@ from foreglow.lab.simulation import (
     without_traffic,
 )
 from foreglow.lab.simulation.variants import draw_variants
+from foreglow.maps import CentreLine, GeographicOrigin, PoseTrack, RoadMap
 from foreglow.photometry import (
     Headlamp,
     Headlamps,
@@ -47,6 +54,8 @@ from foreglow.photometry import (
 )
 from foreglow.photometry.limits import FMVSS_ONCOMING, UN_R123
 from foreglow.runs.predictions import Predictions
+from foreglow.runtime.live.cameras import CameraOptions
+from foreglow.runtime.parallel_run import Opening
 from foreglow.types import Frame, RoadAhead
 
 POSE = Pose(np.array([1.9, 0.0, 1.3]), np.eye(3))
@@ -55,18 +64,34 @@ LAMPS, LAMP, TABLE = read_headlamps(), matrix_beam("left"), low_beam()
 MATRIX = with_beam(Scene(), "matrix")
 MATCHES = match_boxes({1: np.zeros((0, 2))}, Predictions({1: np.zeros((0, 4))}, {1: np.zeros(0)}))
 LINE = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+ROAD, ORIGIN = CentreLine(LINE, 3.0), GeographicOrigin(48.0, 9.0)
+ROADS = RoadMap([ROAD])
+PLACES = Occurrence(np.zeros(2), np.ones(2), np.full(2, 0.5))
+UNMADE_MATCHES: Any = object.__new__(LightMatches)
+NOTHING: Any = None
+"""Beside something wrong, which is found first."""
 
-NO_NUMBERS = [None, "x", {}, object(), [[1, 2], [3]], 10**400, np.array([1j] * 3)]
+NO_NUMBERS = [None, "x", {}, object(), [[1, 2], [3]], 10**400, np.array([1j] * 3), np.ones(3, np.bool_)]
 NO_VECTORS = [*NO_NUMBERS, 1.5, [], [[1.0, 2.0]], np.zeros((2, 4))]
 NO_ROWS = [*NO_VECTORS, [1.0, 2.0, 3.0], [[math.nan] * 3], [[math.inf, 0.0, 0.0]]]
 NO_COUNT: list[Any] = [None, "x", -1, 1.5, math.nan, math.inf, [], True, 10**400]
 NO_VALUE = [None, "x", 1.5, [], object()]
+NO_SHARE: list[Any] = [None, "x", 2, -1, math.nan, True]
+NO_LENGTH: list[Any] = [None, "x", -5.0, 0.0, math.nan, True]
+NO_TIME: list[Any] = [None, "x", 1.5, math.nan, True, 2**63]
+NO_DEGREES = [*NO_NUMBERS, 181.0, [9.0, math.nan], -math.inf]
 NO_PATH: list[Any] = [None, 1.5, [], b"x", ""]
 
 
 def lamp(**changes: Any) -> MatrixLamp:
     names = ("base", "columns", "rows", "leds_cd", "azimuths_deg", "elevations_deg", "num_columns")
     return MatrixLamp(**{name: getattr(LAMP, name) for name in names} | changes)
+
+
+def poses() -> PoseTrack:
+    from scipy.spatial.transform import Rotation
+
+    return PoseTrack(np.array([0, 10**9]), np.zeros((2, 3)), Rotation.identity(2), has_attitude=True)
 
 
 CASES: dict[str, tuple[str, Callable[[Any], object], list[Any]]] = {
@@ -161,6 +186,53 @@ CASES: dict[str, tuple[str, Callable[[Any], object], list[Any]]] = {
     ),
     "match_lights": ("labels", lambda value: match_lights(value, Predictions({}, {})), NO_VALUE),
     "break_down": ("matched", lambda value: break_down(value, 0.5), NO_VALUE),
+    "break_down threshold": ("threshold", lambda value: break_down(UNMADE_MATCHES, value), NO_SHARE),
+    "examine": ("detector", lambda value: examine(NOTHING, NOTHING, 0.5, value), NO_VALUE[::2]),
+    "examine threshold": ("threshold", lambda value: examine(NOTHING, NOTHING, value, "ours"), NO_SHARE),
+    "Predictions.light_kinds": (
+        "Predictions.light_kinds: image 7",
+        lambda value: Predictions({7: np.zeros((1, 4))}, {7: np.ones(1)}, light_kinds={7: value}),
+        [np.ones((1, 4)), np.array([[math.nan, 1.0, 0.0, 0.0]]), np.zeros((0, 4)), [[1.0, 0.0, 0.0, 0.0]]],
+    ),
+    "GeographicOrigin": (
+        "GeographicOrigin.latitude_deg",
+        lambda value: GeographicOrigin(value, 9.0),
+        [*NO_VALUE[:2], True],
+    ),
+    "GeographicOrigin range": ("GeographicOrigin", lambda value: GeographicOrigin(0.0, value), [181, math.nan]),
+    "GeographicOrigin.local": ("longitudes_deg", lambda value: ORIGIN.local(48.0, value), NO_DEGREES),
+    "GeographicOrigin.yaw_rad": ("latitudes_deg", lambda value: ORIGIN.yaw_rad(value, 9.0, 0.0), [*NO_DEGREES, 91.0]),
+    "RoadMap": ("RoadMap.origin", lambda value: RoadMap([ROAD], value), NO_VALUE[1:]),
+    "RoadMap.ahead": ("pose", ROADS.ahead, [*NO_VALUE, (1.0, 2.0)]),
+    "RoadMap.ahead length_m": ("length_m", lambda value: ROADS.ahead(POSE, value), NO_LENGTH),
+    "RoadMap.hindrance": ("pose", ROADS.hindrance, NO_VALUE),
+    "CentreLine.ahead": ("pose", ROAD.ahead, [*NO_VALUE, (1.0, 2.0)]),
+    "CentreLine.ahead length_m": ("length_m", lambda value: ROAD.ahead(POSE, value), NO_LENGTH),
+    "CentreLine.ahead error": (
+        "error_bound_m",
+        lambda value: ROAD.ahead(POSE, 9.0, value),
+        [None, "x", -1.0, math.nan],
+    ),
+    "PoseTrack.pose": ("timestamp_ns", lambda value: poses().pose(value), NO_TIME),
+    "PoseTrack.is_reported": ("timestamp_ns", lambda value: poses().is_reported(value), NO_TIME),
+    "CanLog.motion": ("timestamp_ns", CanLog().motion, NO_TIME),
+    "CanLog.street": ("timestamp_ns", CanLog().street, NO_TIME),
+    "Occurrence.nearest_m": ("share", PLACES.nearest_m, NO_SHARE),
+    "GapWriter.command": (
+        "gaps",
+        lambda value: GapWriter(BeamConfig(), LAMPS).command(0, [value]),
+        [*NO_VALUE, (-0.1, 0.1, 20.0, 40.0, True)],
+    ),
+    "CameraOptions delay_s": ("delay_s", lambda value: CameraOptions(delay_s=value), [*NO_VALUE, -1, math.inf, True]),
+    "CameraOptions size_px": ("size_px", lambda value: CameraOptions(size_px=value), [*NO_VALUE[1:], (0, 1), (1.5, 2)]),
+    "CameraOptions data": ("data", lambda value: CameraOptions(data=value), NO_VALUE[1:]),
+    "CameraOptions seed": ("seed", lambda value: CameraOptions(seed=value), NO_COUNT),
+    "CameraOptions quality": ("quality", lambda value: CameraOptions(quality=value), [None, 1.5]),
+    "Opening": ("function", lambda value: Opening(value, ()), NO_VALUE),
+    "Opening arguments": ("arguments", lambda value: Opening(open_source, value), NO_VALUE),
+    "changed": ("base", lambda value: changed(value, {}), NO_VALUE),
+    "changed fields": ("fields", lambda value: changed(RECIPES["paper"], value), NO_VALUE),
+    "changed network": ("recipe: network", lambda value: changed(RECIPES["paper"], {"network": value}), NO_VECTORS),
     "paired_bootstrap": (
         "counts_b",
         lambda value: paired_bootstrap(np.ones((3, 3)), value),
@@ -195,3 +267,18 @@ def test_no_image_of_a_data_set_has_a_negative_id(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="val: image id: expected a whole number of at least 0, got -1"):
             writer.add_sequence(Sequence.plain(1), [LabelledImage(image)])
         writer.add_sequence(Sequence.plain(1), [LabelledImage(Frame(image.image, timestamp_ns=0, frame=0))])
+
+
+@pytest.mark.parametrize(
+    ("info", "place"),
+    [
+        ({"note": math.nan}, "info.note"),
+        ({"tags": {1}}, "info.tags"),
+        ({"a": [{"b": Path("x")}]}, "info.a.0.b"),
+        ({1: 2}, "info"),
+    ],
+)
+def test_what_json_cannot_store_is_refused_before_anything_is_written(info: Any, place: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=rf"val: {place}: expected "):
+        PVDNWriter(tmp_path / "val", info=info)
+    assert list(tmp_path.iterdir()) == []

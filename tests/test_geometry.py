@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -155,3 +158,16 @@ def test_a_mount_refuses_what_are_no_numbers() -> None:
 def test_the_principal_point_of_a_part_of_a_larger_image(centre_px: tuple[float, float]) -> None:
     """Up to two longer sides outside: a strip at the edge of a sensor, for one."""
     assert camera(centre_px=centre_px).scaled(640, 480).centre_px == (centre_px[0] / 2, centre_px[1] / 2)
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.2, 0.05, 1e-3, 0.0, 0.0)])
+def test_what_is_infinite_has_neither_pixel_nor_ray(distortion: tuple[float, ...]) -> None:
+    seen = camera(distortion=distortion)
+    points = itertools.product((5.0, math.inf, -math.inf, math.nan), repeat=3)
+    infinite = np.array([point for point in points if not np.isfinite(point).all()] + [(1e-8, 1e300, 0.0)])
+    assert np.isnan(seen.project(infinite)).all()
+    assert np.isnan(seen.project(infinite[0])).all()
+    assert np.isnan(seen.rays([[math.inf, 3.0], [3.0, -math.inf], [math.nan, 3.0]])).all()
+    mixed = seen.project([[5.0, 1.0, 1.0], [math.inf, 0.0, 0.0]])
+    assert np.isfinite(mixed[0]).all()
+    assert np.isnan(mixed[1]).all()

@@ -173,6 +173,40 @@ def test_a_single_frame_and_an_image_are_no_frames() -> None:
             list(PIPELINE.run(wrong))  # type: ignore[arg-type]
 
 
+def test_images_are_no_frames_of_a_drive() -> None:
+    images: Any = [FRAME.image, FRAME.image]
+    with pytest.raises(TypeError, match=r"frames: expected each to be a Frame, .* got ndarray: `step` takes an image"):
+        list(PIPELINE.run(images))
+    source = ListSource(images)
+    log = SimpleNamespace(camera=1, motion=1, road=1, of_one_drive=("a log",))
+    for frames in (Paced(source, math.inf), Equipped(source, log)):
+        with pytest.raises(ValueError, match=r"^source: expected Frame, got ndarray"):
+            list(frames)
+    with pytest.raises(ValueError, match=r"^source: expected Frame, got ndarray"):
+        run(source, PIPELINE, None)
+
+
+def test_a_clock_that_tells_no_time() -> None:
+    stage = BeamStage(LIT, GuardConfig())
+    for wrong in (None, "x", 1.5, math.nan, True):
+        with pytest.raises(ValueError, match=r"^now_ns: expected nanoseconds as a whole number"):
+            stage.command(FRAME, tracks_of([]), now_ns=lambda wrong=wrong: wrong)  # type: ignore[misc]
+
+
+def test_speeds_of_own_live_sources() -> None:
+    for name, wrong in (
+        ("speed", 0.0),
+        ("speed", None),
+        ("speed", "x"),
+        ("max_silence_s", -1.0),
+        ("max_silence_s", "x"),
+    ):
+        source = Paced(ListSource(FRAMES))
+        setattr(source, name, wrong)
+        with pytest.raises(ValueError, match=rf"^source: {name}: expected a "):
+            loop(source=source)
+
+
 def test_rates_of_own_sources() -> None:
     source = ListSource(FRAMES)
     for rate_hz in (0, -1.0, math.nan, math.inf, "18"):

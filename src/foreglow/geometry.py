@@ -95,7 +95,7 @@ def rotation_angles_rad(turned: ArrayLike) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Position and orientation of a body in an outer frame: dst_from_body.
+    """Position and orientation of a body in an outer frame: dst_from_body. It is equal to itself alone, not to copies.
 
     Attributes:
         position_m: Shape (3,), the body's origin in the outer frame.
@@ -162,8 +162,10 @@ class MountSigmas:
 
     def __post_init__(self) -> None:
         for name in ("yaw_rad", "pitch_rad", "roll_rad", "height_m"):
-            if not 0.0 <= checked_number(f"MountSigmas.{name}", getattr(self, name)) < np.inf:
-                raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {getattr(self, name)}")
+            sigma = checked_number(f"MountSigmas.{name}", getattr(self, name))
+            if not 0.0 <= sigma < np.inf:
+                raise ValueError(f"MountSigmas.{name}: expected a number of at least 0, got {sigma}")
+            object.__setattr__(self, name, sigma)
 
 
 def check_lens(size_px: tuple[int, int], focal_px: tuple[float, float], field: str) -> None:
@@ -280,6 +282,7 @@ class Camera:
             value = getattr(self, name)
             if not isinstance(value, int | np.integer) or isinstance(value, bool):
                 raise ValueError(f"Camera.{name}: expected a whole number, got {shortened(value)}")
+            object.__setattr__(self, name, int(value))
         if not (min(self.width_px, self.height_px) >= 1 and max(self.width_px, self.height_px) <= MAX_IMAGE_SIDE_PX):
             expected = f"expected a size of 1x1 to {MAX_IMAGE_SIDE_PX}x{MAX_IMAGE_SIDE_PX}"
             raise ValueError(f"Camera: {expected}, got {shortened(f'{self.width_px}x{self.height_px}')}")
@@ -329,7 +332,7 @@ class Camera:
 
     def project(self, points_camera: ArrayLike) -> Floats:
         """Pixels (x, y), shape (..., 2), of points of shape (..., 3) in the camera's frame; NaN behind the camera, and
-        for points that are NaN or infinite.
+        for points that are NaN, infinite, or so far aside that the pixel would be.
 
         Beyond the field of view, the distortion polynomial may fold back into the image; check the size of the image
         and the angle.
@@ -338,13 +341,19 @@ class Camera:
             ValueError: If they are no numbers of that shape.
         """
         points = checked_points("points_camera", points_camera, 3)
-        forward = np.where(points[..., 0] > 1e-9, points[..., 0], np.nan)
-        u, v = self._distorted(-points[..., 1] / forward, -points[..., 2] / forward)
-        return np.stack([self.centre_px[0] + self.focal_px[0] * u, self.centre_px[1] + self.focal_px[1] * v], -1)
+        forward = np.where((points[..., 0] > 1e-9) & (points[..., 0] < np.inf), points[..., 0], np.nan)
+        with np.errstate(over="ignore", invalid="ignore"):
+            u, v = self._distorted(-points[..., 1] / forward, -points[..., 2] / forward)
+            x, y = self.centre_px[0] + self.focal_px[0] * u, self.centre_px[1] + self.focal_px[1] * v
+            is_anywhere = np.isfinite(x + y)
+        pixels = np.stack([x, y], -1)
+        if not is_anywhere.all():
+            pixels[~is_anywhere] = np.nan
+        return pixels
 
     def rays(self, pixels: ArrayLike) -> Floats:
         """Unit directions, shape (..., 3), in the camera's frame, through the pixels (x, y) of shape (..., 2);
-        NaN for pixels that are.
+        NaN for pixels that are NaN or infinite.
 
         Raises:
             ValueError: If they are no numbers of that shape.
@@ -355,6 +364,7 @@ class Camera:
         True
         """
         points = checked_points("pixels", pixels, 2)
+        points = np.where(np.isinf(points), np.nan, points)
         wanted_u, wanted_v = np.moveaxis((points - self.centre_px) / self.focal_px, -1, 0)
         u, v = wanted_u, wanted_v
         if any(self.distortion):

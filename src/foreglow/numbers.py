@@ -1,9 +1,10 @@
-"""Numbers that callers give, checked: one, some of any shape, points, a share, a count."""
+"""Numbers that callers give, checked: one, some of any shape, points, a share, a count; NumPy's as Python's own."""
 
 from __future__ import annotations
 
 import contextlib
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ def checked_floats(field: str, values: object) -> NDArray[np.float64]:
     """A copy of `values`, a number or numbers of any shape, as float64.
 
     Raises:
-        ValueError: If they are something else; the message begins with `field`.
+        ValueError: If they are something else, such as truth values; the message begins with `field`.
 
     >>> checked_floats("Pose.position_m", {})
     Traceback (most recent call last):
@@ -23,7 +24,7 @@ def checked_floats(field: str, values: object) -> NDArray[np.float64]:
     """
     with contextlib.suppress(ValueError):  # lists of several lengths
         array = np.array(values)
-        if array.dtype.kind in "biuf" and not np.ma.is_masked(values):
+        if array.dtype.kind in "iuf" and not np.ma.is_masked(values):
             return array.astype(np.float64)
     raise ValueError(f"{field}: expected numbers, got {shortened(values)}")
 
@@ -96,3 +97,27 @@ def checked_whole(field: str, value: object, least: int = 0, most: int = 2**53 -
         return int(value)  # type: ignore[call-overload, no-any-return]
     limit = f"from {least} to {most}" if is_whole and value > most else f"of at least {least}"  # type: ignore[operator]
     raise ValueError(f"{field}: expected a whole number {limit}, got {shortened(value)}")
+
+
+def plain(value: Any, *, as_tuples: bool = False) -> Any:
+    """`value` with Python's own numbers and truth values for NumPy's, also inside dictionaries, lists and tuples.
+
+    Args:
+        value: Anything; what is of another class stays as it is.
+        as_tuples: Whether lists and arrays become tuples.
+
+    >>> plain({"seed": np.int64(5), "size_px": (np.int32(2), 3)})
+    {'seed': 5, 'size_px': (2, 3)}
+    >>> plain(np.array([[1, 2], [3, 4]]), as_tuples=True)
+    ((1, 2), (3, 4))
+    """
+    if isinstance(value, np.generic):
+        return value.item()
+    if as_tuples and isinstance(value, np.ndarray) and value.ndim:
+        value = value.tolist()
+    if type(value) in (list, tuple):
+        parts = [plain(part, as_tuples=as_tuples) for part in value]
+        return parts if type(value) is list and not as_tuples else tuple(parts)
+    if type(value) is dict:
+        return {name: plain(part, as_tuples=as_tuples) for name, part in value.items()}
+    return value

@@ -291,7 +291,8 @@ class Pipeline:
         """The results of `frames`, one by one, in order, after a `reset`.
 
         Raises:
-            TypeError: If they are no frames but a single one, the path of a source, or no sequence of anything.
+            TypeError: If they are no frames but images, a single frame, the path of a source, or no sequence of
+                anything.
             RuntimeError: If another run of this pipeline has begun meanwhile, as it would know this one's frames.
         """
         if isinstance(frames, str | os.PathLike):
@@ -306,6 +307,9 @@ class Pipeline:
         for frame in frames:
             if self._run is not run:
                 raise RuntimeError("Pipeline.run: another run has begun: end one before the next, or use two pipelines")
+            if not isinstance(frame, Frame):  # as `step` takes for frame 0 at time 0, each of them
+                got = f"got {type(frame).__name__}: `step` takes an image without its time"
+                raise TypeError(f"frames: expected each to be a Frame, such as foreglow.Frame(image, time_ns), {got}")
             yield self.step(frame)
 
     def reset(self) -> None:

@@ -32,7 +32,8 @@ def shortened(value: object) -> str:
     >>> shortened([*range(1000)]), shortened(10**5000)
     ('[0, 1, 2, 3, 4, 5, ...]', 'a whole number of 16610 bits')
     """
-    as_list = getattr(value, "tolist", None)  # of an array or a scalar of NumPy's
+    is_one = type(value).__name__ == "ndarray" and getattr(value, "shape", None) == ()  # which is told from a number
+    as_list = None if is_one else getattr(value, "tolist", None)  # of an array or a scalar of NumPy's
     text = re.sub(r"\s*\n\s*", " ", _SHORT.repr(as_list() if callable(as_list) else value))  # as of values with arrays
     return text if len(text) <= 80 else text[:77] + "..."
 

@@ -183,7 +183,7 @@ def test_workers_by_the_options() -> None:
     assert workers_at(1, "tcp://127.0.0.1:8786") == Cluster("tcp://127.0.0.1:8786")
     with pytest.raises(ValueError, match="expected --jobs or --cluster, got both"):
         workers_at(2, "tcp://127.0.0.1:8786")
-    with pytest.raises(ValueError, match="jobs: expected at least 1, got 0"):
+    with pytest.raises(ValueError, match="jobs: expected a whole number of at least 1, got 0"):
         workers_at(0, None)
 
 

@@ -13,6 +13,7 @@ from foreglow.beam.questions import DIP
 from foreglow.config import BeamConfig
 from foreglow.photometry import Headlamps
 from foreglow.types import BeamCommand, BeamMode
+from foreglow.types.arrays import check_kind
 from foreglow.wording import shortened
 
 
@@ -31,9 +32,11 @@ class GapWriter:
         """High beam with `gaps`, and with shallow `dips`, which end at once.
 
         Raises:
-            ValueError: If borders or ranges of a gap are not in order, or one is NaN, as ranges of tracks may be.
+            ValueError: If there is something else than gaps, or borders or ranges of one are not in order, or one is
+                NaN, as ranges of tracks may be.
         """
         for gap in (*gaps, *dips):
+            check_kind("gaps", gap, Gap)
             if not (gap.right_rad < gap.left_rad and 0.0 <= gap.near_m <= gap.far_m):
                 expected = "right_rad < left_rad and 0 <= near_m <= far_m, infinite where unknown"
                 raise ValueError(f"gaps: expected {expected}, got {shortened(gap)}")

@@ -260,9 +260,9 @@ def encode_gaps(command: BeamCommand, counter: int, ramp_s: float = RAMP_S) -> C
 
 
 def _checked_ramp_s(ramp_s: object) -> float:
-    if not isinstance(ramp_s, int | float) or not 0.0 <= ramp_s <= RAMPS_S[-1]:
+    if not isinstance(ramp_s, int | float | np.integer | np.floating) or not 0.0 <= ramp_s <= RAMPS_S[-1]:
         raise ValueError(f"ramp_s: expected 0 to {RAMPS_S[-1]:g} s, got {shortened(ramp_s)}")
-    return ramp_s
+    return float(ramp_s)
 
 
 MESSAGES: Mapping[str, Callable[[BeamCommand, int, float], tuple[CanFrame, ...]]] = MappingProxyType(

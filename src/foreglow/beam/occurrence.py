@@ -47,7 +47,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foreglow.geometry import Floats
-from foreglow.numbers import checked_number
+from foreglow.numbers import checked_number, checked_share
 from foreglow.types import RoadAhead
 from foreglow.types.arrays import check_kind
 from foreglow.types.frame import MAX_SPEED_MPS
@@ -108,7 +108,12 @@ class Occurrence(NamedTuple):
         return self.quantiles_rad((0.5,))[0]
 
     def nearest_m(self, share: float) -> float:
-        """The range within which at least this share of the probability lies."""
+        """The range within which at least this share, 0 to 1, of the probability lies.
+
+        Raises:
+            ValueError: If it is no share.
+        """
+        share = checked_share("share", share)
         index = int(self.weights.cumsum().searchsorted(share))
         return float(self.ranges_m[min(index, len(self.ranges_m) - 1)])
 

@@ -14,7 +14,7 @@ from foreglow.config import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import METHODS, built, check_methods, checked
 from foreglow.types import BeamCommand, Frame, Tracks
-from foreglow.types.arrays import check_callables, check_kind
+from foreglow.types.arrays import check_callables, check_kind, checked_time_ns
 
 MAX_GAPS = 2000
 """Gaps of a frame: one for each track that it may have."""
@@ -101,7 +101,7 @@ class BeamStage:
             wanted,
             tracks,
             frame,
-            time_ns=None if now_ns is None else now_ns(),
+            time_ns=None if now_ns is None else checked_time_ns("now_ns", now_ns()),
             pipeline_faults=faults,
             is_vehicle=lamps_in_sight(tracks, self._min_direct, frame.camera),
         )

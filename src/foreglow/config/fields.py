@@ -10,6 +10,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, field_validator
 from pydantic_core import PydanticCustomError
 
+from foreglow.numbers import plain
 from foreglow.wording import shortened
 
 MAX_NUMBER = 1e12
@@ -26,10 +27,33 @@ ONE_OF = BeforeValidator(_integer)
 """For a field that is one of some integers: `Literal` compares by value, also if strict, so that `true` were 1."""
 
 
-class FrozenModel(BaseModel):
+class PlainModel(BaseModel):
+    """A model whose fields take NumPy's numbers and truth values as Python's own, which they become.
+
+    No validator of pydantic's does so: in front of strict fields, it would have lists of JSON refused.
+    """
+
+    def __init__(self, /, **fields: Any) -> None:
+        super().__init__(**self._plain(fields))
+
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]  # JSON, and dictionaries, do not come by it
+
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's."""
+        return super().model_validate(cls._plain(obj), **options)
+
+    @classmethod
+    def _plain(cls, fields: Any) -> Any:
+        """The fields as they are checked, from those that were given in Python."""
+        return plain(fields)
+
+
+class FrozenModel(PlainModel):
     """A frozen set of parameters.
 
-    Unknown fields, NaN, infinity, numbers above `MAX_NUMBER` and values of another type are errors.
+    Unknown fields, NaN, infinity, numbers above `MAX_NUMBER` and values of another type are errors; NumPy's numbers
+    are no other type.
     """
 
     # Strict: `kappa = true` and `gap_px = "4"` are mistakes, not numbers.

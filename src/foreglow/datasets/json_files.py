@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import functools
 import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
+from foreglow.config.fields import PlainModel
 from foreglow.files import (
     MAX_JSON_BYTES,
     bounded_lines,
@@ -56,7 +58,7 @@ _KINDS = {"str": "text", "int": "a number", "float": "a number", "bool": "true o
 """What is expected, by the name with which pydantic ends the place of a field that may be of several types."""
 
 
-class Record(BaseModel):
+class Record(PlainModel):
     """A frozen JSON object: types are strict, and unknown keys are kept."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="allow", allow_inf_nan=False)
@@ -162,6 +164,28 @@ def write_json(path: Path, record: BaseModel) -> None:
         OSError: If it cannot be written; `path` is then as it was before.
     """
     write_atomic(path, json_bytes(record))
+
+
+def check_storable(field: str, value: object) -> None:
+    """Checks that `value` is the same after JSON, but for lists that are tuples.
+
+    Raises:
+        ValueError: If a part of it is nothing that JSON has; the message begins with its place.
+
+    >>> check_storable("info", {"note": [1.0, float("nan")]})
+    Traceback (most recent call last):
+    ValueError: info.note.1: expected what JSON can store, got nan
+    """
+    if isinstance(value, dict):
+        for key, part in value.items():
+            if not isinstance(key, str):
+                raise ValueError(f"{field}: expected texts as keys, got {shortened(key)}")
+            check_storable(f"{field}.{_printable(key)}", part)
+    elif isinstance(value, list | tuple):
+        for index, part in enumerate(value):
+            check_storable(f"{field}.{index}", part)
+    elif not isinstance(value, str | int | float | None) or (isinstance(value, float) and not math.isfinite(value)):
+        raise ValueError(f"{field}: expected what JSON can store, got {shortened(value)}")
 
 
 def json_bytes(record: BaseModel) -> bytes:

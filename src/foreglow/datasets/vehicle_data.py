@@ -11,7 +11,7 @@ from foreglow.datasets.labelled import LabelledSource
 from foreglow.datasets.source import FileSource, FrameSource, check_source
 from foreglow.geometry import Camera
 from foreglow.types import EgoMotion, Frame, RoadAhead
-from foreglow.types.arrays import check_members
+from foreglow.types.arrays import check_kind, check_members
 from foreglow.wording import shortened
 
 
@@ -93,6 +93,7 @@ class Equipped:
             return
         spans_ns: dict[str, tuple[int, int]] = {}
         for frame in self.source:
+            check_kind("source", frame, Frame)
             first_ns, last_ns = spans_ns.get(frame.sequence, (frame.timestamp_ns, frame.timestamp_ns))
             span_ns = min(first_ns, frame.timestamp_ns), max(last_ns, frame.timestamp_ns)
             if len(spans_ns) > (frame.sequence in spans_ns) and spans_ns.get(frame.sequence) != span_ns:
@@ -170,6 +171,7 @@ def equip(frame: Frame, data: VehicleData) -> Frame:
     Raises:
         ValueError: If the calibration is for images of another size, or a file behind the data is broken.
     """
+    check_kind("source", frame, Frame)
     motion, is_reported = data.motion(frame), data.is_reported(frame)
     return dataclasses.replace(
         frame,

@@ -108,8 +108,8 @@ class Movie:
             ValueError: If `fps` is not a positive number.
         """
         path = checked_path(path)
-        rate_hz = DEFAULT_FPS if fps is None else fps
-        if not 0.0 < checked_number(f"{path}: fps", rate_hz) < float("inf"):
+        rate_hz = checked_number(f"{path}: fps", DEFAULT_FPS if fps is None else fps)
+        if not 0.0 < rate_hz < float("inf"):
             raise ValueError(f"{path}: fps: expected a positive number, got {fps}")
         self._path = path
         self._rate = Fraction(min(max(rate_hz, MIN_FPS), MAX_FPS)).limit_denominator(1001)

@@ -12,6 +12,7 @@ import numpy as np
 from foreglow.geometry import Floats, Pose
 from foreglow.numbers import checked_floats, checked_number
 from foreglow.types import RoadAhead
+from foreglow.types.arrays import check_kind
 
 MAX_OFFSET_M = 20.0
 """We do not drive on a road whose centre line is horizontally further away than this."""
@@ -88,8 +89,9 @@ class CentreLine:
             raise ValueError("CentreLine.points_m: expected finite numbers, got NaN or infinity")
         if not np.diff(points[:, :2], axis=0).any(axis=1).all():
             raise ValueError("CentreLine.points_m: expected neighbours that differ horizontally")
-        if not (math.isfinite(checked_number("CentreLine.half_width_m", self.half_width_m)) and self.half_width_m > 0):
-            raise ValueError(f"CentreLine.half_width_m: expected a positive number, got {self.half_width_m}")
+        half_width_m = checked_number("CentreLine.half_width_m", self.half_width_m)
+        if not 0.0 < half_width_m < math.inf:
+            raise ValueError(f"CentreLine.half_width_m: expected a positive number, got {half_width_m}")
         slopes = (
             checked_floats("CentreLine.cross_slopes", self.cross_slopes)
             if np.size(self.cross_slopes)
@@ -98,6 +100,7 @@ class CentreLine:
         if slopes.shape != (len(points),) or not np.isfinite(slopes).all():
             raise ValueError(f"CentreLine.cross_slopes: expected {len(points)} finite numbers, got {slopes.shape}")
         object.__setattr__(self, "points_m", points)
+        object.__setattr__(self, "half_width_m", half_width_m)
         object.__setattr__(self, "cross_slopes", slopes)
 
     @cached_property
@@ -125,7 +128,11 @@ class CentreLine:
             pose: map_from_vehicle.
             knows_height: Whether the heights of pose and map can be compared.
             knows_heading: Whether a road across our way is none of ours.
+
+        Raises:
+            ValueError: If the pose is none.
         """
+        check_kind("pose", pose, Pose)
         starts, steps = self.points_m[:-1], np.diff(self.points_m, axis=0)
         lengths_m = np.linalg.norm(steps[:, :2], axis=1)
         shares = ((pose.position_m - starts)[:, :2] * steps[:, :2]).sum(-1) / lengths_m**2
@@ -158,7 +165,11 @@ class CentreLine:
             error_bound_m: Largest error of the position along the road; infinite where unknown.
             is_on_road: Whether to put the vehicle on the road: height, pitch and roll come from the map, not from
                 `pose`. For poses or maps without heights.
+
+        Raises:
+            ValueError: If the pose is none, the length is not positive, or the bound is negative or NaN.
         """
+        length_m, error_bound_m = checked_ahead(length_m, error_bound_m)
         foot = self.foot(pose, knows_height=not is_on_road)
         if foot is None:
             return None
@@ -185,6 +196,20 @@ class CentreLine:
         forward /= np.linalg.norm(forward)
         up = np.array([*-gradient, 1.0]) / np.sqrt(1.0 + gradient @ gradient)
         return Pose(position_m, np.stack([forward, np.cross(up, forward), up], -1))
+
+
+def checked_ahead(length_m: object, error_bound_m: object) -> tuple[float, float]:
+    """How far to look ahead, and the largest error of the position there, as plain numbers.
+
+    Raises:
+        ValueError: If the length is not positive, or the bound is negative or NaN.
+    """
+    length, bound = checked_number("length_m", length_m), checked_number("error_bound_m", error_bound_m)
+    if not length > 0.0:
+        raise ValueError(f"length_m: expected a positive number, got {length}")
+    if not bound >= 0.0:
+        raise ValueError(f"error_bound_m: expected a number of at least 0, got {bound}")
+    return length, bound
 
 
 class PointCount:

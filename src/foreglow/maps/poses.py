@@ -30,7 +30,7 @@ from foreglow.files import bounded_lines, checked_path, number_in, read_text
 from foreglow.geometry import Floats, Pose
 from foreglow.maps.centre_line import check_points
 from foreglow.maps.geographic import GeographicOrigin, check_position
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, checked_time_ns
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -98,14 +98,24 @@ class PoseTrack:
         self._turn = Slerp((self.times_ns - self.times_ns[0]) / 1e9, turns)
 
     def is_reported(self, timestamp_ns: int) -> bool | None:
-        """Whether the production system reports a vehicle, by the latest pose; None where unknown, outside, in gaps."""
+        """Whether the production system reports a vehicle, by the latest pose; None where unknown, outside, in gaps.
+
+        Raises:
+            ValueError: If the time is none.
+        """
+        timestamp_ns = checked_time_ns("timestamp_ns", timestamp_ns)
         latest = int(np.searchsorted(self.times_ns, timestamp_ns, side="right")) - 1
         if self.reports is None or latest < 0 or timestamp_ns - self.times_ns[latest] > MAX_GAP_S * 1e9:
             return None
         return bool(self.reports[latest])
 
     def pose(self, timestamp_ns: int) -> Pose | None:
-        """The pose at a time, between its neighbours; None outside, and in gaps of more than `MAX_GAP_S`."""
+        """The pose at a time, between its neighbours; None outside, and in gaps of more than `MAX_GAP_S`.
+
+        Raises:
+            ValueError: If the time is none.
+        """
+        timestamp_ns = checked_time_ns("timestamp_ns", timestamp_ns)
         after = int(np.searchsorted(self.times_ns, timestamp_ns))
         if after == len(self.times_ns) or (after == 0 and self.times_ns[0] != timestamp_ns):
             return None

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from foreglow.geometry import Floats, Pose
-from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine, Foot
+from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine, Foot, checked_ahead
 from foreglow.maps.geographic import GeographicOrigin
 from foreglow.types import RoadAhead
 from foreglow.types.arrays import check_kind
@@ -45,6 +45,8 @@ class RoadMap:
             raise ValueError("RoadMap.lines: expected at least one road, got none")
         for line in lines:
             check_kind("RoadMap.lines", line, CentreLine)
+        if origin is not None:
+            check_kind("RoadMap.origin", origin, GeographicOrigin)
         self.lines = tuple(lines)
         self.origin = origin
         self.has_heights = has_heights
@@ -61,8 +63,10 @@ class RoadMap:
     ) -> RoadAhead | None:
         """The road ahead on the nearest road with our heading, continued on the straightest line where that ends.
 
-        The width is that of the nearest road. Arguments and None are as in `CentreLine.ahead`.
+        The width is that of the nearest road. Arguments, None and errors are as in `CentreLine.ahead`.
         """
+        check_kind("pose", pose, Pose)
+        length_m, error_bound_m = checked_ahead(length_m, error_bound_m)
         is_level = is_on_road or not self.has_heights
         feet = self._feet(pose, knows_height=not is_level)
         if not feet:
@@ -74,7 +78,12 @@ class RoadMap:
         return joined.ahead(pose, length_m, error_bound_m, is_on_road=is_level)
 
     def hindrance(self, pose: Pose, *, is_on_road: bool = False) -> Literal["heading", "height"] | None:
-        """What keeps a vehicle off the roads that are near; None if none is near, or it drives on one."""
+        """What keeps a vehicle off the roads that are near; None if none is near, or it drives on one.
+
+        Raises:
+            ValueError: If the pose is none.
+        """
+        check_kind("pose", pose, Pose)
         knows_height = self.has_heights and not is_on_road
         if self._feet(pose, knows_height=knows_height):
             return None

@@ -21,6 +21,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from foreglow.numbers import checked_whole
 from foreglow.parallel.pool import Item, LostProcessError, Parent, ProgressCallback, Result, Work, schedule
 from foreglow.plugins import traced
 
@@ -48,10 +49,7 @@ class Local:
     jobs: int = 1
 
     def __post_init__(self) -> None:
-        if not isinstance(self.jobs, int) or isinstance(self.jobs, bool):
-            raise ValueError(f"jobs: expected a whole number, got {self.jobs!r:.80}")
-        if self.jobs < 1:
-            raise ValueError(f"jobs: expected at least 1, got {self.jobs}")
+        object.__setattr__(self, "jobs", checked_whole("jobs", self.jobs, 1))
 
     @property
     def num_workers(self) -> int:

@@ -79,7 +79,8 @@ class MatrixLamp:
         leds_cd = checked_array("MatrixLamp.leds_cd", self.leds_cd, np.dtype(np.float32), (None, *reached))
         if not leds_cd.size or not 0 <= leds_cd.min() <= leds_cd.max() < np.inf:
             raise ValueError("MatrixLamp.leds_cd: expected finite intensities of at least 0, of one LED or more")
-        if len(leds_cd) % checked_whole("MatrixLamp.num_columns", self.num_columns, 1):
+        num_columns = checked_whole("MatrixLamp.num_columns", self.num_columns, 1)
+        if len(leds_cd) % num_columns:
             raise ValueError(f"MatrixLamp.num_columns: expected whole rows of {len(leds_cd)}, got {self.num_columns}")
         for name in ("azimuths_deg", "elevations_deg"):
             angles = checked_floats(f"MatrixLamp.{name}", getattr(self, name))

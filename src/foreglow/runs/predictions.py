@@ -25,6 +25,7 @@ from foreglow.runs.frames_file import own_threshold, read_frame_lines
 from foreglow.runs.json_lines import Whole, checked, no_run_file
 from foreglow.types import LIGHT_KINDS
 from foreglow.types.arrays import check_kind, check_numbers, checked_time_ns
+from foreglow.types.kinds import checked_kinds
 from foreglow.whole_files import write_atomic
 from foreglow.wording import shortened
 
@@ -44,7 +45,7 @@ class Predictions:
 
     Raises:
         ValueError: If a field is of another type or shape, an image id is no number, a box is not finite or ends before
-            it begins, or a score or another probability is no number from 0 to 1.
+            it begins, or a score or another probability is no number from 0 to 1, or kinds do not sum to 1.
     """
 
     boxes_xyxy_px: Mapping[int, NDArray[np.float64]]
@@ -91,6 +92,8 @@ class Predictions:
         check_numbers(name, known, (len(boxes), *shape))
         if ((known < 0) | (known > 1)).any():
             raise ValueError(f"{name}: expected numbers from 0 to 1, got {known[(known < 0) | (known > 1)][0]}")
+        if shape:
+            checked_kinds(name, values.astype(np.float64), len(boxes), np.float64)
 
 
 def check_image_ids(field: str, images: Mapping[int, object]) -> None:

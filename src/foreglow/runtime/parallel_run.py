@@ -24,7 +24,7 @@ from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally, model_digest
 from foreglow.runtime.run import InterruptFlag, ResultSink, check_readable, step_through
 from foreglow.types import Frame, FrameResult
-from foreglow.types.arrays import check_kind, check_members
+from foreglow.types.arrays import check_callables, check_kind, check_members
 
 REPORT_S = 0.1
 """Time between two reports of a part's progress, seconds."""
@@ -37,10 +37,17 @@ class Opening:
     Attributes:
         function: A function or class of a module, which returns the source.
         arguments: Its arguments.
+
+    Raises:
+        ValueError: If the function is none, or the arguments are no tuple.
     """
 
     function: Callable[..., FrameSource]
     arguments: tuple[Hashable, ...]
+
+    def __post_init__(self) -> None:
+        check_callables(function=self.function)
+        check_kind("arguments", self.arguments, tuple)
 
     def __call__(self) -> FrameSource:
         """Opens the source."""

@@ -246,11 +246,13 @@ def step_through(
     """Runs the pipeline over the frames and passes on the results; after each frame it asks whether to stop.
 
     Raises:
-        ValueError: If a frame has the number of the one before: what is recorded knows frames by their numbers.
+        ValueError: If the source yields something else than frames; if a frame has the number of the one before: what
+            is recorded knows frames by their numbers.
     """
     pipeline.reset()
     before: tuple[str, int] | None = None
     for frame in frames:
+        check_kind("source", frame, Frame)
         place = frame.sequence, frame.frame
         if place == before:
             raise ValueError(f"frame: expected another number than that of the frame before, got {frame.frame} again")

@@ -26,7 +26,10 @@ def with_adjacent_columns(image: Image) -> Image:
 
 
 class Value:
-    """A dataclass whose copies, also those from pickle, are made by its constructor: as frozen and checked as it."""
+    """A dataclass whose copies, also those from pickle, are made by its constructor: as frozen and checked as it.
+
+    Those with arrays are equal to themselves alone, and not to their copies.
+    """
 
     __slots__ = ()
 
@@ -80,7 +83,7 @@ def checked_array(field: str, array: object, dtype: np.dtype[Any], shape: tuple[
 
     >>> checked_array("Tracks.ids", [1, 2], np.dtype(np.int64), (None,))
     Traceback (most recent call last):
-    ValueError: Tracks.ids: expected int64 of shape (N,), got list
+    ValueError: Tracks.ids: expected int64 of shape (N,), got list, no NumPy array
     """
     if isinstance(array, np.ndarray) and array.dtype == dtype:
         check_unmasked(field, array)
@@ -98,7 +101,7 @@ def check_numbers(field: str, array: object, shape: tuple[int | None, ...]) -> N
 
     >>> check_numbers("boxes", [[1, 2, 3, 4]], (None, 4))
     Traceback (most recent call last):
-    ValueError: boxes: expected numbers of shape (N, 4), got list
+    ValueError: boxes: expected numbers of shape (N, 4), got list, no NumPy array
     """
     is_of_numbers = isinstance(array, np.ndarray) and array.dtype.kind in "iuf"
     if isinstance(array, np.ndarray) and is_of_numbers and len(shape) == array.ndim and _fits(array.shape, shape):
@@ -206,7 +209,11 @@ def checked_time_ns(field: str, time_ns: object) -> int:
 
 
 def _array_words(array: object) -> str:
-    return f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+    return (
+        f"{array.dtype} of shape {array.shape}"
+        if isinstance(array, np.ndarray)
+        else f"{type(array).__name__}, no NumPy array"
+    )
 
 
 def _shape_words(shape: tuple[int | None, ...]) -> str:

@@ -16,7 +16,7 @@ _INT32, _FLOAT32, _FLOAT64 = np.dtype(np.int32), np.dtype(np.float32), np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals(Value):
-    """Boxes that may hold a light artifact, sorted by y1, x1, y2, x2.
+    """Boxes that may hold a light artifact; a `Proposer` sorts them by y1, x1, y2, x2.
 
     Attributes:
         boxes_xyxy_px: Shape (N, 4), int32, half-open, full-frame pixels; N = 0 means that nothing stands out.
@@ -53,8 +53,8 @@ class Detections(Value):
             at all; they sum to 1. NaN where the model does not tell. An empty array becomes NaNs.
 
     Raises:
-        ValueError: If a field is of a wrong type, an array's shape or dtype is wrong, a score is outside [0, 1] or NaN,
-            the threshold is not finite, or kinds do not sum to 1.
+        ValueError: If a field is of a wrong type, an array's shape or dtype is wrong, a score or the threshold is
+            outside [0, 1] or NaN, or kinds do not sum to 1.
     """
 
     proposals: Proposals
@@ -68,9 +68,10 @@ class Detections(Value):
         scores = checked_array("Detections.scores", self.scores, _FLOAT32, (count,))
         if count and not (np.minimum.reduce(scores) >= 0.0 and np.maximum.reduce(scores) <= 1.0):
             raise ValueError("Detections.scores: expected values in [0, 1], got NaN or a value outside")
-        checked_share("Detections.score_threshold", self.score_threshold)
+        threshold = checked_share("Detections.score_threshold", self.score_threshold)
         light_kinds = checked_kinds("Detections.light_kinds", self.light_kinds, count, np.float32)
         object.__setattr__(self, "scores", scores)
+        object.__setattr__(self, "score_threshold", threshold)
         object.__setattr__(self, "light_kinds", light_kinds)
 
     def __len__(self) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from types import MappingProxyType, NoneType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +66,14 @@ class EgoMotion(Value):
 
     def __post_init__(self) -> None:
         for name in ("speed_mps", "yaw_rate_radps"):
-            if not math.isfinite(checked_number(f"EgoMotion.{name}", getattr(self, name))):
-                raise ValueError(f"EgoMotion.{name}: expected a finite number, got {getattr(self, name)}")
-        if math.isinf(checked_number("EgoMotion.pitch_rad", self.pitch_rad)):
-            raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {self.pitch_rad}")
+            number = checked_number(f"EgoMotion.{name}", getattr(self, name))
+            if not math.isfinite(number):
+                raise ValueError(f"EgoMotion.{name}: expected a finite number, got {number}")
+            object.__setattr__(self, name, number)
+        pitch_rad = checked_number("EgoMotion.pitch_rad", self.pitch_rad)
+        if math.isinf(pitch_rad):
+            raise ValueError(f"EgoMotion.pitch_rad: expected a finite number or NaN, got {pitch_rad}")
+        object.__setattr__(self, "pitch_rad", pitch_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +121,9 @@ class RoadAhead(Value):
             raise ValueError(f"RoadAhead.half_width_m: expected a positive number, got {self.half_width_m}")
         if half_width_m > MAX_HALF_WIDTH_M:
             raise ValueError(f"RoadAhead.half_width_m: expected at most {MAX_HALF_WIDTH_M:g}, got {self.half_width_m}")
-        if not checked_number("RoadAhead.error_bound_m", self.error_bound_m) >= 0:
-            raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {self.error_bound_m}")
+        error_bound_m = checked_number("RoadAhead.error_bound_m", self.error_bound_m)
+        if not error_bound_m >= 0:
+            raise ValueError(f"RoadAhead.error_bound_m: expected a number of at least 0, got {error_bound_m}")
         slopes = checked_floats("RoadAhead.cross_slopes", self.cross_slopes)
         if not slopes.size:
             slopes = np.zeros(len(points))
@@ -127,7 +133,9 @@ class RoadAhead(Value):
             expected = f"expected rises for each metre of at most {MAX_CROSS_SLOPE:g}, not percent"
             raise ValueError(f"RoadAhead.cross_slopes: {expected}, got {np.abs(slopes).max():g}")
         object.__setattr__(self, "points_m", frozen_view(points))
+        object.__setattr__(self, "half_width_m", half_width_m)
         object.__setattr__(self, "cross_slopes", frozen_view(slopes))
+        object.__setattr__(self, "error_bound_m", error_bound_m)
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -187,7 +195,7 @@ class Frame(Value):
             )
         if self.image.dtype not in (np.uint8, np.uint16):
             raise ValueError(
-                f"{origin}Frame.image: expected uint8 or uint16, got {self.image.dtype}; {_remedy(self.image)}"
+                f"{origin}Frame.image: expected uint8 or uint16, got {_dtype_words(self.image)}; {_remedy(self.image)}"
             )
         if self.image.size == 0:
             raise ValueError(f"{origin}Frame.image: expected at least one pixel, got shape {self.image.shape}")
@@ -258,8 +266,15 @@ _KINDS: Mapping[str, tuple[tuple[type, ...], str]] = MappingProxyType(
 """What the value of a field is."""
 
 
+def _dtype_words(image: NDArray[Any]) -> str:
+    own = image.dtype.newbyteorder("=")
+    return f"{own}" if own == image.dtype else f"{own} with the bytes of each pixel in another order"
+
+
 def _remedy(image: object) -> str:
     """What to call for a value that is no grey image."""
     if isinstance(image, str | PathLike):
         return "foreglow.open_source(path) yields the frames of an image, a folder or a video"
+    if isinstance(image, np.ndarray) and image.ndim == 2 and not image.dtype.isnative:
+        return f"image.astype('{image.dtype.newbyteorder('=')}') has them in this machine's"
     return "foreglow.to_grey(image) takes colour (R, G, B) and floats in [0, 1]"

@@ -87,7 +87,7 @@ class Selection:
                 raise ValueError(f"Selection.{name}: expected {expected}, got {shortened([*chosen])}")
         if self.cycle is not None:
             check_one_of(self.cycle, Cycle, "Selection.cycle")
-        if not isinstance(self.has_keypoints, bool | None):
+        if not isinstance(self.has_keypoints, bool | np.bool_ | None):
             raise ValueError(
                 f"Selection.has_keypoints: expected a truth value or None, got {shortened(self.has_keypoints)}"
             )

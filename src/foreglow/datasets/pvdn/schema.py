@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from foreglow.datasets.json_files import Record
+from foreglow.numbers import plain
 from foreglow.wording import shortened
 
 _NAMES_ON_DISK = {
@@ -33,9 +34,18 @@ _NAMES_ON_DISK = {
 
 
 class PVDNRecord(Record):
-    """A part of a label file; some fields have clearer names in Python than on disk, and both names are accepted."""
+    """A part of a label file; some fields have clearer names in Python than on disk, and both names are accepted.
+
+    In Python, lists and arrays, such as key points and boxes of ours, become tuples.
+    """
 
     model_config = ConfigDict(populate_by_name=True, alias_generator=lambda name: _NAMES_ON_DISK.get(name, name))
+
+    @classmethod
+    def _plain(cls, fields: Any) -> Any:
+        if not isinstance(fields, dict):
+            return fields
+        return {name: plain(value, as_tuples=name != "info") for name, value in fields.items()}
 
 
 Id: TypeAlias = Annotated[int, Field(ge=0, le=2**53)]

@@ -13,7 +13,7 @@ from typing import Any
 
 from foreglow.datasets.image_folder import earlier_name
 from foreglow.datasets.images import png
-from foreglow.datasets.json_files import read_json, write_json
+from foreglow.datasets.json_files import check_storable, read_json, write_json
 from foreglow.datasets.pvdn.reader import PVDN, rate_of
 from foreglow.datasets.pvdn.schema import (
     BoxLabels,
@@ -33,7 +33,7 @@ from foreglow.datasets.pvdn.schema import (
 )
 from foreglow.datasets.pvdn.splits import splits_below
 from foreglow.files import checked_path
-from foreglow.numbers import checked_whole
+from foreglow.numbers import checked_whole, plain
 from foreglow.types import Frame
 from foreglow.types.arrays import check_kind
 from foreglow.whole_files import write_atomic
@@ -104,14 +104,16 @@ class PVDNWriter(AbstractContextManager["PVDNWriter"]):
             name: The folder's name in messages, if it is to be moved.
 
         Raises:
-            ValueError: If the folder holds images or labels already, or `rate_hz` is none that images can have.
+            ValueError: If the folder holds images or labels already, `info` has something that JSON does not, such as
+                NaN, or its `rate_hz` is none that images can have.
             OSError: If the folders cannot be made.
         """
         self.root = checked_path(root, "root")
         self._name = self.root if name is None else checked_path(name, "name")
         check_kind("info", {} if info is None else info, Mapping)
-        self._info = dict(info or {})
+        self._info = plain(dict(info or {}))
         rate_of(self._info, self._name)
+        check_storable(f"{self._name}: info", self._info)
         _make_folders(self.root)
         self._sequences: list[Sequence] = []
         self._images: dict[int, ImageRecord] = {}

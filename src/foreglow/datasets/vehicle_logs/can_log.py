@@ -21,6 +21,7 @@ from foreglow.files import MIB, checked_path, read_text
 from foreglow.numbers import checked_number
 from foreglow.street import StreetMessage
 from foreglow.types import EgoMotion
+from foreglow.types.arrays import checked_time_ns
 from foreglow.wording import shortened
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ class Latest(Generic[Value]):
 
     def with_age(self, timestamp_ns: int) -> tuple[Value, float] | None:
         """As `at`, with the seconds since then."""
+        timestamp_ns = checked_time_ns("timestamp_ns", timestamp_ns)
         index = bisect_right(self.times_ns, timestamp_ns + RESOLUTION_NS) - 1
         if index < 0 or timestamp_ns - self.times_ns[index] > self.stale_s * 1e9:
             return None
@@ -99,7 +101,8 @@ class CanLog:
 
     def __init__(self, keep_s: float = math.inf) -> None:
         """An empty log, which drops values that are older than the last by more than `keep_s`."""
-        if not checked_number("keep_s", keep_s) >= 0:
+        keep_s = checked_number("keep_s", keep_s)
+        if not keep_s >= 0:
             raise ValueError(f"keep_s: expected a number of seconds of at least 0, got {keep_s}")
         self._keep_ns = 1e9 * keep_s
         self._streets = Latest[StreetMessage | None](STREET_STALE_S)

@@ -192,9 +192,11 @@ def open_vehicle_data(
     if (road_map is None) != (poses is None):
         other = "poses on it" if poses is None else "a map with them"
         raise ValueError(f"{road_map or poses}: expected {other}, got none")
-    if not math.isfinite(checked_number("time offset", time_offset_s)):
+    time_offset_s = checked_number("time offset", time_offset_s)
+    pose_error_m = checked_number("pose error", pose_error_m)
+    if not math.isfinite(time_offset_s):
         raise ValueError(f"time offset: expected a finite number of seconds, got {time_offset_s}")
-    if not checked_number("pose error", pose_error_m) >= 0:
+    if not pose_error_m >= 0:
         raise ValueError(f"pose error: expected a number of metres of at least 0, got {pose_error_m}")
     roads = None if road_map is None else read_road_map(road_map)
     track = None if poses is None or roads is None else read_poses(poses, roads.origin)

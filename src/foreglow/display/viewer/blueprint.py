@@ -41,7 +41,8 @@ def blueprint(*, has_lux: bool, window_s: float | None = None) -> rrb.Blueprint:
     """
     ranges = None
     if window_s is not None:
-        if not 0 < checked_number("window_s", window_s) < math.inf:
+        window_s = checked_number("window_s", window_s)
+        if not 0 < window_s < math.inf:
             raise ValueError(f"window_s: expected a positive number of seconds or None, got {window_s}")
         start, end = rr.TimeRangeBoundary.cursor_relative(seconds=-window_s), rr.TimeRangeBoundary.cursor_relative()
         ranges = [rrb.VisibleTimeRange(TIMELINE, start=start, end=end)]

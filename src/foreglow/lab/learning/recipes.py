@@ -14,6 +14,7 @@ from foreglow.classifier.inputs import FEATURES, InputSpec
 from foreglow.config import FrozenModel, read_toml, validated
 from foreglow.lab.learning.samples import Inputs, Jitter
 from foreglow.types import KINDS
+from foreglow.types.arrays import check_kind
 from foreglow.wording import check_one_of
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
@@ -243,11 +244,13 @@ def changed(base: Recipe, fields: dict[str, Any], origin: str = "recipe") -> Rec
     """`base` with some fields changed; a table, such as `augmentation`, changes only the fields that it names.
 
     Raises:
-        ValueError: If a field is unknown or out of range; the message names `origin` and the field.
+        ValueError: If an argument is of another kind, or a field is unknown or out of range; the message names `origin`
+            and the field.
     """
+    check_kind("base", base, Recipe)
+    check_kind("fields", fields, dict)
     known = list(dict.fromkeys(each.network for each in RECIPES.values()))
-    if fields.get("network", known[0]) not in known:  # before what else it would have to be
-        raise ValueError(f"{origin}: network: expected one of {', '.join(known)}, got {fields['network']!r}")
+    check_one_of(fields.get("network", known[0]), known, f"{origin}: network")  # before what else it would have to be
     merged: dict[str, Any] = base.model_dump()
     for name, value in fields.items():
         before = merged.get(name)

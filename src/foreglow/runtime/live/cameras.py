@@ -21,6 +21,7 @@ from foreglow.datasets.vehicle_data import equip
 from foreglow.datasets.video.decoding import CODEC_OPTIONS, decoded, grey_image, picture_chroma, video_stream
 from foreglow.numbers import checked_number, checked_whole
 from foreglow.types import Frame, Image
+from foreglow.types.arrays import check_kind, check_members
 from foreglow.wording import shortened, without_password
 
 OPEN_S, READ_S = 5.0, 1.0
@@ -28,6 +29,9 @@ OPEN_S, READ_S = 5.0, 1.0
 
 PICTURE_S = 30.0
 """Longest time until packets of a network stream become a picture: encoders send a key frame more often."""
+
+MAX_DELAY_S = 1.0
+"""Longest time from the exposure until the frame arrives."""
 
 STREAM_SCHEMES = (
     *("rtsp", "rtsps", "rtmp", "rtmps", "rtmpt", "http", "https", "tcp", "tls", "udp", "rtp", "srtp", "srt"),
@@ -55,7 +59,7 @@ class CameraOptions:
         quality: How finely a simulated drive is rendered.
 
     Raises:
-        ValueError: If size, rate or delay is none that a camera can have.
+        ValueError: If size, rate or delay is none that a camera can have, or another value is of another kind.
     """
 
     size_px: tuple[int, int] | None = None
@@ -66,15 +70,23 @@ class CameraOptions:
     quality: str = "training"
 
     def __post_init__(self) -> None:
+        plain: dict[str, Any] = {"seed": checked_whole("seed", self.seed)}
         if self.size_px is not None:
-            if not isinstance(self.size_px, tuple) or len(self.size_px) != 2:
+            if not isinstance(self.size_px, tuple | list) or len(self.size_px) != 2:
                 raise ValueError(f"size_px: expected width and height, got {shortened(self.size_px)}")
-            for side in self.size_px:
-                checked_whole("size_px", side, 1)
-        if self.rate_hz is not None and not 0 < checked_number("rate_hz", self.rate_hz) < math.inf:
-            raise ValueError(f"rate_hz: expected a positive number or None, got {self.rate_hz}")
-        if not math.isfinite(checked_number("delay_s", self.delay_s)):
-            raise ValueError(f"delay_s: expected a finite number of seconds, got {self.delay_s}")
+            plain["size_px"] = tuple(checked_whole("size_px", side, 1) for side in self.size_px)
+        if self.rate_hz is not None:
+            plain["rate_hz"] = checked_number("rate_hz", self.rate_hz)
+            if not 0 < plain["rate_hz"] < math.inf:
+                raise ValueError(f"rate_hz: expected a positive number or None, got {self.rate_hz}")
+        plain["delay_s"] = checked_number("delay_s", self.delay_s)
+        if not 0 <= plain["delay_s"] <= MAX_DELAY_S:
+            raise ValueError(f"delay_s: expected 0 to {MAX_DELAY_S:g} seconds, got {self.delay_s}")
+        if self.data is not None:
+            check_members("data", self.data, "vehicle data", "camera", "motion", "road", "of_one_drive")
+        check_kind("quality", self.quality, str)
+        for name, value in plain.items():
+            object.__setattr__(self, name, value)
 
 
 class LiveCamera(ABC):

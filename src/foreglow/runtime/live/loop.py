@@ -132,10 +132,10 @@ class LiveLoop:
         self._source, self._config, self._proposals = source, config.live, config.proposals
         self._make_pipeline, self._outputs, self._beat = make_pipeline, outputs, beat
         self._at_begin, self._at_end, self._give_up_s = at_begin, at_end, give_up_s
-        self._period_s = 1.0 / (source.rate_hz or config.live.rate_hz)  # by the frames' clock
-        self._wait_s = self._period_s / (1.0 if source.is_lossless else source.speed)
+        self._period_s = 1.0 / float(source.rate_hz or config.live.rate_hz)  # by the frames' clock
+        self._wait_s = self._period_s / (1.0 if source.is_lossless else float(source.speed))
         # With a lossless source, which waits for the computation, a slow machine is no fault.
-        self._max_step_s = (source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
+        self._max_step_s = float(source.max_silence_s or 0.0) if source.is_lossless else config.live.max_step_s
         self._num_leds = read_headlamps(config.beam.headlamps).num_leds
         self._told_ns = (0, time.monotonic_ns())  # the source's clock, and when it was asked
         self._book = FaultBook(self._now_ns, (CAMERA, STAGE, BUS))
@@ -206,10 +206,10 @@ class LiveLoop:
             self._config,
             self._period_s,
             self._book,
-            speed=self._source.speed,
+            speed=float(self._source.speed),
             max_silence_s=self._source.max_silence_s,
         )
-        limit_s = (self._source.max_silence_s or LIMIT_S) if self._source.is_lossless else LIMIT_S
+        limit_s = float(self._source.max_silence_s or LIMIT_S) if self._source.is_lossless else LIMIT_S
         self._outlets = [Outlet(output, limit_s) for output in self._outputs]
         self._worker = self._new_worker(pipeline)
         reader = threading.Thread(target=self._read, name=f"{THREADS}read", daemon=True)
@@ -399,7 +399,7 @@ class LiveLoop:
         age_ns = 0 if self._source.is_lossless else self._now_ns() - frame.timestamp_ns
         if result is None:
             return
-        clock_to_ms = 1e6 * self._source.speed  # of a replay's clock, which may run faster than time
+        clock_to_ms = 1e6 * float(self._source.speed)  # of a replay's clock, which may run faster than time
         stage_ms = {
             "capture": (stepped.arrival.arrived_ns - frame.timestamp_ns) / clock_to_ms,
             "queue": (stepped.begun_ns - stepped.arrival.arrived_ns) / clock_to_ms,

@@ -14,7 +14,7 @@ from foreglow.numbers import checked_number
 from foreglow.runs.origin import origin_name
 from foreglow.runtime.live.watch import MAX_DELAY_NS
 from foreglow.types import BeamCommand, Frame
-from foreglow.types.arrays import check_members
+from foreglow.types.arrays import check_kind, check_members
 
 START_S = 120.0
 """Longest time that a source without a rate of its own, such as a renderer, may take for a frame."""
@@ -62,11 +62,16 @@ def check_live_source(field: str, source: object) -> None:
     """Checks that `source` is what `LiveSource` describes.
 
     Raises:
-        ValueError: As `check_source`, or if it is a recording that is not replayed; the message begins with `field`.
+        ValueError: As `check_source`, or if it is a recording that is not replayed, or its speed or longest silence is
+            no positive number; the message begins with `field`.
     """
     check_source(field, source)
     expected = "frames in real time, as of Paced(source) or a camera"
     check_members(field, source, expected, "max_silence_s", "speed", "is_lossless", "is_endless", "now_ns")
+    for name in ("speed", "max_silence_s"):
+        value = getattr(source, name)
+        if not (value is None and name == "max_silence_s") and not checked_number(f"{field}: {name}", value) > 0.0:
+            raise ValueError(f"{field}: {name}: expected a positive number, got {value}")
 
 
 class ClosedLoop(ABC):
@@ -108,10 +113,12 @@ class Paced:
             ValueError: If `source` is none, or the speed is below `MIN_SPEED`.
         """
         check_source("source", source)
-        if not checked_number("speed", speed) >= MIN_SPEED:
+        speed = checked_number("speed", speed)
+        if not speed >= MIN_SPEED:
             raise ValueError(f"speed: expected a positive number of at least {MIN_SPEED:g}, got {speed}")
         self._source = source
-        self.name, self.rate_hz, self.num_frames = origin_name(source), source.rate_hz, source.num_frames
+        self.name, self.num_frames = origin_name(source), source.num_frames
+        self.rate_hz = None if source.rate_hz is None else float(source.rate_hz)
         self.how_read = how_read(source)
         self.speed, self.is_lossless = speed, math.isinf(speed)
         self._zero_ns = 0, time.monotonic_ns()  # the same moment by the frames' clock, and by the machine's
@@ -147,11 +154,12 @@ class Paced:
         """The frames, at their time.
 
         Raises:
-            ValueError: After the last one, if a part of the source is lost in which there may have been others, or if
-                none of the images behind it can be read.
+            ValueError: If the source yields something else; after the last one, if a part of the source is lost in
+                which there may have been others, or if none of the images behind it can be read.
         """
         sequence, latest_ns = None, 0
         for frame in self._source:
+            check_kind("source", frame, Frame)
             is_new = has_jumped(frame.timestamp_ns - latest_ns)
             latest_ns = frame.timestamp_ns
             if frame.sequence != sequence or is_new or self.is_lossless:

@@ -29,7 +29,7 @@ from foreglow.lab.evaluation.boxes.lights import (
 )
 from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
 from foreglow.lab.evaluation.ratios import ratio, share
-from foreglow.numbers import checked_number
+from foreglow.numbers import checked_share
 from foreglow.runs.predictions import Predictions
 from foreglow.types.arrays import check_kind
 
@@ -329,10 +329,10 @@ def break_down(matched: LightMatches, threshold: float, labels: SplitLabels | No
     By weather and by scenario only where there are `labels`, those of the split.
 
     Raises:
-        ValueError: If an argument is of another type.
+        ValueError: If an argument is of another type, or the threshold is no number from 0 to 1.
     """
     check_kind("matched", matched, LightMatches)
-    threshold = checked_number("threshold", threshold)
+    threshold = checked_share("threshold", threshold)
     if labels is not None:
         check_kind("labels", labels, SplitLabels)
     matches = matched.matches

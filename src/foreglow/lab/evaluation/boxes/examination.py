@@ -26,7 +26,9 @@ from foreglow.lab.evaluation.boxes.robustness import RobustnessRow
 from foreglow.lab.evaluation.boxes.score_calibration import Calibration, calibration
 from foreglow.lab.evaluation.boxes.whose_light import WhoseLight, whose_light
 from foreglow.lab.evaluation.vehicles import FirstFound, first_found, share_found_ahead
+from foreglow.numbers import checked_share
 from foreglow.runs.predictions import Predictions
+from foreglow.types.arrays import check_kind
 
 RunTime: TypeAlias = Mapping[str, float | None]
 """`median`, `p95` and `p99` of one stage, milliseconds."""
@@ -136,7 +138,15 @@ def examine(
     detector: str,
     run_time_ms: Mapping[str, RunTime] | None = None,
 ) -> Examination:
-    """All figures of `predictions` on a split, but for those of robustness and of tracks."""
+    """All figures of `predictions` on a split, but for those of robustness and of tracks.
+
+    Raises:
+        ValueError: If an argument is of another type, or the threshold is no number from 0 to 1.
+    """
+    check_kind("detector", detector, str)
+    threshold = checked_share("threshold", threshold)
+    if run_time_ms is not None:
+        check_kind("run_time_ms", run_time_ms, Mapping)
     matched = match_lights(labels, predictions)
     return Examination(
         name=labels.name,
