@@ -22,7 +22,7 @@ from foreglow.beam.messages import GAPS_ID, LEVELS_IDS, OWN_DBC, CommandEncoder,
 from foreglow.beam.receiver import LampReceiver
 from foreglow.beam.stage import BeamStage
 from foreglow.config import OUR_TRACKER, PUBLISHED_TRACKER, BeamConfig, GuardConfig, TrackerConfig
-from foreglow.datasets.vehicle_logs.can_log import read_dbc
+from foreglow.datasets.vehicle_logs.dbc import read_dbc
 from foreglow.geometry import Camera, Pose
 from foreglow.photometry import read_headlamps
 from foreglow.tracking import make_tracker

@@ -23,7 +23,8 @@ from foreglow.config import ClassifierConfig, read_config
 from foreglow.datasets import open_source
 from foreglow.datasets.exchange import read_labels_file
 from foreglow.datasets.pvdn import PVDN
-from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_dbc, read_mapping
+from foreglow.datasets.vehicle_logs.can_log import read_can_log, read_mapping
+from foreglow.datasets.vehicle_logs.dbc import read_dbc
 from foreglow.lab.simulation.scenes.scene_file import read_scene
 from foreglow.lab.studies.glare.drive import read_glare_drive
 from foreglow.maps import read_poses, read_road_map

@@ -28,7 +28,7 @@ from foreglow.beam.messages import (
     encode_gaps,
     encode_levels,
 )
-from foreglow.datasets.vehicle_logs.can_log import read_dbc
+from foreglow.datasets.vehicle_logs.dbc import read_dbc
 from foreglow.photometry import NUM_LEDS
 from foreglow.types import BeamCommand, BeamMode
 from tests.beam.commands import commands

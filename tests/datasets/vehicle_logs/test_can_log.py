@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foreglow.datasets.vehicle_logs import read_can_log, write_can_log
-from foreglow.datasets.vehicle_logs.can_log import CanDecoder, read_dbc, read_mapping
+from foreglow.datasets.vehicle_logs.can_log import CanDecoder, read_mapping
+from foreglow.datasets.vehicle_logs.dbc import read_dbc
 from foreglow.lab.simulation.scenes.scene import RoadSpec
 from foreglow.lab.simulation.world.road import Road
 from foreglow.lab.simulation.writing.street_data import StreetDataError, StreetMap

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from foreglow.datasets.vehicle_logs.can_log import OWN_DBC, OWN_MAPPING, read_dbc, read_mapping
+from foreglow.datasets.vehicle_logs.can_log import OWN_DBC, OWN_MAPPING, read_mapping
+from foreglow.datasets.vehicle_logs.dbc import read_dbc
 from foreglow.datasets.vehicle_logs.log_frames import LOG_SUFFIXES
 from foreglow.datasets.vehicle_logs.street_frames import position_values, segment_values
 from foreglow.files import checked_path
