@@ -71,7 +71,8 @@ def test_a_format_of_the_table_is_run_and_evaluated(two: Path) -> None:
     assert source.keypoints_px(6).tolist() == [[9, 8]]
     assert source.first_with(source.sequences[0], ImageCategory.FIRST_VISIBLE_SIGNS) == 6
     assert source.only("S00001").frame_ids == (5, 6)
-    assert source.only("other").frame_ids == ()
+    with pytest.raises(ValueError, match="directory: expected that of a sequence, got 'other'"):
+        source.only("other")
 
 
 def test_the_other_formats_stay(two: Path, tmp_path: Path) -> None:
