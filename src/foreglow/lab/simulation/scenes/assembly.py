@@ -41,7 +41,7 @@ def is_in_ours(vehicle: VehicleSpec, ego: EgoSpec, road: RoadSpec, times_s: Floa
     """At which of `times_s` a vehicle on the main road and ours are in the same place; straying does not count."""
     begin, end, right, left = _extent(vehicle, road, times_s)
     our_begin, our_end, our_right, our_left = _extent(_as_vehicle(ego), road, times_s)
-    return (begin < our_end) & (our_begin < end) & (right < our_left) & (our_right < left)
+    return np.asarray((begin < our_end) & (our_begin < end) & (right < our_left) & (our_right < left))
 
 
 def _as_vehicle(ego: EgoSpec) -> VehicleSpec:
