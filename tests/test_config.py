@@ -169,9 +169,10 @@ def test_any_file_is_read_or_refused_in_one_line(data: bytes) -> None:
 
 
 def test_binary_file_is_no_toml(tmp_path: Path) -> None:
-    (tmp_path / "config.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match="expected TOML"):
-        read_config(tmp_path / "config.toml")
+    for content, expected in ((b"\x80\xfe\x00", "expected TOML"), (b"\xff\xfe\x00", "UTF-8 text, is UTF-16")):
+        (tmp_path / "config.toml").write_bytes(content)
+        with pytest.raises(ValueError, match=expected):
+            read_config(tmp_path / "config.toml")
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -263,14 +263,15 @@ def file_digest(path: Path) -> str:
 def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES, encoding: str = "utf-8-sig", errors: str = "strict") -> str:
     """The text in the file at `path`, UTF-8 unless `encoding` says otherwise; a byte order mark is dropped.
 
-    `errors` is what undecodable bytes do, as in `bytes.decode`.
+    `errors` is what undecodable bytes do, as in `bytes.decode`; UTF-16 is such, too.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no regular file, larger than `max_bytes`, or not such text.
     """
     data = read_bytes(path, max_bytes)
-    check_encoding(data, path)
+    if errors == "strict":
+        check_encoding(data, path)
     try:
         text = data.decode(encoding, errors)
     except UnicodeDecodeError as error:

@@ -193,7 +193,7 @@ def test_a_preview_leaves_files_of_something_else_that_have_all_its_names(text: 
 
 def test_a_drive_that_leaves_the_map_is_told_before_anything_is_made(tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
-    file.write_text("[road]\nlength_m = 400.0\n[ego]\ntimetable = [[0.0, 20.0], [10.0, 2200.0]]\n")
+    file.write_text("[road]\nlength_m = 400.0\n[ego]\ntimetable = [[0.0, 200.0], [10.0, 1690.0]]\n")
     for options in (("--out", tmp_path / "out"), ("--out", tmp_path / "out", "--preview", "mine")):
         words = complaint("simulate", "--scene", file, *options)
         assert f"{file}: ego.timetable: expected arc lengths on the map, -1000 to 1400 m, got 1" in words

@@ -249,7 +249,7 @@ def test_unknown_motion_is_none_and_a_broken_one_is_refused() -> None:
 @given(hnp.arrays(np.float64, (5, 4), elements=st.floats(-1e3, 1e3)), st.floats(0.1, 50), st.floats(0, math.inf))
 def test_roads_come_back(numbers: Any, half_width_m: float, bound_m: float) -> None:
     numbers[:, 0] = np.arange(5)
-    sent = RoadAhead(numbers[:, :3], half_width_m, numbers[:, 3], bound_m)
+    sent = RoadAhead(numbers[:, :3], half_width_m, 1e-3 * numbers[:, 3], bound_m)
     back = read_road(road_message(HEADER, sent), "t")
     assert back is not None
     for name in ("points_m", "cross_slopes", "half_width_m", "error_bound_m"):

@@ -92,7 +92,8 @@ def test_a_policy_that_is_plugged_in_has_a_row_of_its_own(tmp_path: Path, monkey
     names = [policy.name for policy in experiment.results.policies]
     assert names == ["low", "high", "production", "paper", "oracle", "tests.test_plugins:AllLight"]
     assert [point.policy for point in experiment.results.sensitivity] == ["tests.test_plugins:AllLight"]
-    assert summary_lines(experiment.results)[0].startswith("tests.test_plugins:AllLight: glare dose of ")
+    words = "glare dose of 1 oncoming driver with tests.test_plugins:AllLight: "
+    assert summary_lines(experiment.results)[0].startswith(words)
     setting_run = read_glare_drive(tmp_path / "out" / "drives" / "S00001.npz").runs[setting.name]
     assert (setting_run.levels == 1.0).all()  # it is the plug-in whose settings are tried, too
 
