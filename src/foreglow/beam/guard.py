@@ -35,7 +35,7 @@ from foreglow.beam.sightlines import Sightlines
 from foreglow.config import GuardConfig
 from foreglow.geometry import Floats
 from foreglow.types import MIN_STEP_S, BeamCommand, BeamMode, Frame, Tracks
-from foreglow.types.arrays import check_kind, check_names
+from foreglow.types.arrays import check_kind, check_names, check_optional
 from foreglow.types.beam import MAX_FAULTS, fault_name
 
 
@@ -203,8 +203,7 @@ def _check_kinds(
     check_kind("frame", frame, Frame)
     check_names("pipeline_faults", pipeline_faults)
     for name, value, kind in (("tracks", tracks, Tracks), ("is_vehicle", is_vehicle, np.ndarray)):
-        if value is not None:
-            check_kind(name, value, kind)
+        check_optional(name, value, kind)
     if not isinstance(time_ns, int | np.integer | None) or isinstance(time_ns, bool):
         raise ValueError(f"time_ns: expected nanoseconds as a whole number, got {type(time_ns).__name__}")
 

@@ -25,7 +25,7 @@ from foreglow.beam.messages import (
 from foreglow.config import FrozenModel
 from foreglow.geometry import Floats
 from foreglow.photometry import NUM_LEDS
-from foreglow.types.arrays import check_kind, checked_time_ns
+from foreglow.types.arrays import check_optional, checked_time_ns
 
 
 class ReceiverConfig(FrozenModel):
@@ -64,8 +64,7 @@ class LampReceiver:
         Raises:
             ValueError: If the configuration is none.
         """
-        if config is not None:
-            check_kind("config", config, ReceiverConfig)
+        check_optional("config", config, ReceiverConfig)
         self._config = config or ReceiverConfig()
         self._deadline_ns = round(self._config.deadline_s * 1e9)
         self._latency_ns = round(self._config.latency_s * 1e9)

@@ -14,7 +14,7 @@ from foreglow.config import BeamConfig, GuardConfig, LitStreetConfig
 from foreglow.photometry import read_headlamps
 from foreglow.plugins import METHODS, built, check_methods, checked
 from foreglow.types import BeamCommand, Frame, Tracks
-from foreglow.types.arrays import check_callables, check_kind, checked_time_ns
+from foreglow.types.arrays import check_callables, check_kind, check_optional, checked_time_ns
 
 MAX_GAPS = 2000
 """Gaps of a frame: one for each track that it may have."""
@@ -54,8 +54,7 @@ class BeamStage:
         """
         check_kind("config", config, BeamConfig)
         check_kind("guard", guard, GuardConfig)
-        if lit_street is not None:
-            check_kind("lit_street", lit_street, LitStreetConfig)
+        check_optional("lit_street", lit_street, LitStreetConfig)
         if policy is not None:
             check_methods("policy", policy, METHODS["policy"])
         headlamps = read_headlamps(config.headlamps)

@@ -11,7 +11,7 @@ from foreglow.calibration.toml_file import read_toml_calibration, read_toml_intr
 from foreglow.calibration.values import ImageChoice, Intrinsics, Mount
 from foreglow.files import checked_path
 from foreglow.geometry import Camera
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 
 READERS: dict[str, Callable[[Path, ImageChoice], Intrinsics]] = {
     ".toml": read_toml_intrinsics,
@@ -34,8 +34,7 @@ def read_intrinsics(path: Path | str, choice: ImageChoice | None = None) -> Intr
         ValueError: If its ending is another, or it cannot be used; the message names path, field and expectation.
     """
     path = checked_path(path)
-    if choice is not None:
-        check_kind("choice", choice, ImageChoice)
+    check_optional("choice", choice, ImageChoice)
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise ValueError(f"{path}: expected a calibration that ends in {', '.join(READERS)}, got {path.suffix!r}")

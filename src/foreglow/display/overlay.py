@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from foreglow.display.tone import Tone
 from foreglow.types import Frame, FrameResult, Tracks, TrackState
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 from foreglow.types.kinds import KIND_WORDS, told_kinds
 
 Picture: TypeAlias = NDArray[np.uint8]
@@ -128,8 +128,7 @@ def annotate(frame: Frame, result: FrameResult, tone: Tone | None = None) -> Pic
     """
     check_kind("frame", frame, Frame)
     check_kind("result", result, FrameResult)
-    if tone is not None:
-        check_kind("tone", tone, Tone)
+    check_optional("tone", tone, Tone)
     measures = Measures.of(frame.width_px, frame.height_px)
     grey = (tone or Tone.of(frame.image)).apply(frame.image)
     if measures.enlargement > 1:

@@ -30,7 +30,7 @@ from foreglow.files import bounded_lines, checked_path, number_in, read_text
 from foreglow.geometry import Floats, Pose
 from foreglow.maps.centre_line import check_points
 from foreglow.maps.geographic import GeographicOrigin, check_position
-from foreglow.types.arrays import check_kind, checked_time_ns
+from foreglow.types.arrays import check_optional, checked_time_ns
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -142,8 +142,7 @@ def read_poses(path: Path | str, origin: GeographicOrigin | None = None) -> Pose
             message names path and line.
     """
     path = checked_path(path)
-    if origin is not None:
-        check_kind("origin", origin, GeographicOrigin)
+    check_optional("origin", origin, GeographicOrigin)
     columns, rows = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
     time_columns = [name for name in TIMES if name in columns]
     if len(time_columns) != 1:

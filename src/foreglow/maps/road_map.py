@@ -12,7 +12,7 @@ from foreglow.geometry import Floats, Pose
 from foreglow.maps.centre_line import MAX_OFFSET_M, CentreLine, Foot, checked_ahead
 from foreglow.maps.geographic import GeographicOrigin
 from foreglow.types import RoadAhead
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 
 JOIN_M = 2.5
 """Ends of two lines that are this near are joined: through a junction a map may have single lanes, whose middle is half
@@ -45,8 +45,7 @@ class RoadMap:
             raise ValueError("RoadMap.lines: expected at least one road, got none")
         for line in lines:
             check_kind("RoadMap.lines", line, CentreLine)
-        if origin is not None:
-            check_kind("RoadMap.origin", origin, GeographicOrigin)
+        check_optional("RoadMap.origin", origin, GeographicOrigin)
         self.lines = tuple(lines)
         self.origin = origin
         self.has_heights = has_heights

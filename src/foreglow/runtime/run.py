@@ -29,7 +29,7 @@ from foreglow.runs.origin import origin_name
 from foreglow.runs.summary_file import RunSummary
 from foreglow.runs.tally import Tally
 from foreglow.types import Frame, FrameResult
-from foreglow.types.arrays import check_kind, check_members
+from foreglow.types.arrays import check_kind, check_members, check_optional
 from foreglow.whole_files import ENDINGS, undisturbed
 
 PATIENCE_S = 2.0
@@ -159,14 +159,11 @@ def run(
     """
     check_source("source", source)
     check_members("pipeline", pipeline, "a pipeline", "config", "dispatch", "step", "reset")
-    if folder is not None:
-        check_kind("folder", folder, OutputFolder)
+    check_optional("folder", folder, OutputFolder)
     check_kind("sinks", sinks, Iterable)
     check_kind("source_name", source_name, str)
-    if origin is not None:
-        check_kind("origin", origin, RunSummary)
-    if among is not None:
-        check_kind("among", among, Collection)
+    check_optional("origin", origin, RunSummary)
+    check_optional("among", among, Collection)
     tally, name = Tally(pipeline.config), source_name or origin_name(source)
     all_sinks: list[ResultSink] = []
     with folder or contextlib.nullcontext(), discarding(all_sinks):

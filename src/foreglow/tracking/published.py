@@ -16,7 +16,7 @@ import numpy as np
 from foreglow.config import TrackerConfig
 from foreglow.tracking.interface import Tracker
 from foreglow.types import Detections, Frame, Ranges, Tracks, TrackState
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 
 Box: TypeAlias = tuple[float, float, float, float]
 """Either x1, y1, x2, y2 or centre x, y, width, height, pixels."""
@@ -114,8 +114,7 @@ class PublishedTracker(Tracker):
         """The tracks after `frame`."""
         check_kind("frame", frame, Frame)
         check_kind("detections", detections, Detections)
-        if ranges is not None:
-            check_kind("ranges", ranges, Ranges)
+        check_optional("ranges", ranges, Ranges)
         boxes, scores = detections.boxes_xyxy_px.astype(np.float64).tolist(), detections.scores.tolist()
         distances_m = [math.nan] * len(boxes) if ranges is None else ranges.ranges_m.tolist()
         sightings = [

@@ -34,7 +34,7 @@ from foreglow.tracking.track_range import (
 )
 from foreglow.tracking.vehicles import VehicleGroups
 from foreglow.types import MIN_STEP_S, Detections, Frame, Ranges, Tracks, TrackState, Vehicles
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 from foreglow.types.kinds import direct_of_kinds
 
 MIN_SIZE_PX = 1.0
@@ -84,8 +84,7 @@ class AlphaBetaTracker(Tracker):
         """The tracks after `frame`; of the frame only its time, size, camera and motion are used."""
         check_kind("frame", frame, Frame)
         check_kind("detections", detections, Detections)
-        if ranges is not None:
-            check_kind("ranges", ranges, Ranges)
+        check_optional("ranges", ranges, Ranges)
         if self._is_again(frame, detections):
             return self._tracks
         step_s = self._step_s(frame)

@@ -134,6 +134,18 @@ def check_kind(field: str, value: object, kind: type) -> None:
         raise ValueError(f"{field}: expected {kind.__name__}, got {type(value).__name__}")
 
 
+def check_optional(field: str, value: object, kind: type) -> None:
+    """As `check_kind`, for a value that may be None.
+
+    Raises:
+        ValueError: If it is neither; the message begins with `field`.
+
+    >>> check_optional("camera", None, int)
+    """
+    if value is not None:
+        check_kind(field, value, kind)
+
+
 def check_members(field: str, value: object, expected: str, *names: str) -> None:
     """Checks that `value`, an object of anybody's class, has what is called so.
 

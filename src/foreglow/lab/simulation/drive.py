@@ -36,7 +36,7 @@ from foreglow.photometry import Headlamps, read_headlamps
 from foreglow.proposals import Proposer, make_proposer
 from foreglow.street import road_from_message
 from foreglow.types import EgoMotion, Frame
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 from foreglow.wording import check_one_of
 
 MAX_TAIL_SHARE = 0.2
@@ -61,8 +61,7 @@ class DriveCamera:
         """
         self._scene = scene
         self._variant = variant
-        if profile is not None:
-            check_kind("profile", profile, CameraProfile)
+        check_optional("profile", profile, CameraProfile)
         self._view = None if profile is None else View(profile, rendered)
         self.camera = rendered if self._view is None else self._view.camera
         self._imager = _imager(scene, self.camera, profile, variant)
@@ -216,8 +215,7 @@ class Drive:
         self.camera = camera_of(scene.camera)
         check_one_of(quality, QUALITIES, "quality")
         self.settings = QUALITIES[quality]
-        if headlamps is not None:
-            check_kind("headlamps", headlamps, Headlamps)
+        check_optional("headlamps", headlamps, Headlamps)
         self.headlamps = headlamps or read_headlamps()
         self._led_levels: Floats = np.ones((2, self.headlamps.num_leds))
 

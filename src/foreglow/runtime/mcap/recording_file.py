@@ -17,7 +17,7 @@ from foreglow.datasets.bags.mcap_file import END_METADATA_NAME, IS_COMPLETE
 from foreglow.files import checked_path, path_in_unicode
 from foreglow.folder_lock import lock
 from foreglow.runs.origin import full_name
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 from foreglow.whole_files import check_replaceable, numbered, partial_path, put, replaces_only, undisturbed
 
 
@@ -136,8 +136,7 @@ class RecordingFile:
                 it.
         """
         path = checked_path(path)
-        if config is not None:
-            check_kind("config", config, PipelineConfig)
+        check_optional("config", config, PipelineConfig)
         check_kind("source_name", source_name, str)
         if path.suffix.lower() != SUFFIX:
             raise ValueError(f"{path}: expected a recording that ends in {SUFFIX}")

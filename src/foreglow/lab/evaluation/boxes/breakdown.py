@@ -31,7 +31,7 @@ from foreglow.lab.evaluation.boxes.matching import NEVER, Matches, match_boxes
 from foreglow.lab.evaluation.ratios import ratio, share
 from foreglow.numbers import checked_share
 from foreglow.runs.predictions import Predictions
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 
 RANGE_EDGES_M = (0.0, 30.0, 60.0, 90.0, 130.0, 200.0, 400.0)
 """Bins of the distance to the vehicle, metres; the lower edge belongs to a bin."""
@@ -333,8 +333,7 @@ def break_down(matched: LightMatches, threshold: float, labels: SplitLabels | No
     """
     check_kind("matched", matched, LightMatches)
     threshold = checked_share("threshold", threshold)
-    if labels is not None:
-        check_kind("labels", labels, SplitLabels)
+    check_optional("labels", labels, SplitLabels)
     matches = matched.matches
     is_found = matched.best_scores > threshold
     is_false = (matches.scores > threshold) & matched.is_false

@@ -28,7 +28,7 @@ from foreglow.lab.evaluation.boxes.whose_light import WhoseLight, whose_light
 from foreglow.lab.evaluation.vehicles import FirstFound, first_found, share_found_ahead
 from foreglow.numbers import checked_share
 from foreglow.runs.predictions import Predictions
-from foreglow.types.arrays import check_kind
+from foreglow.types.arrays import check_kind, check_optional
 
 RunTime: TypeAlias = Mapping[str, float | None]
 """`median`, `p95` and `p99` of one stage, milliseconds."""
@@ -145,8 +145,7 @@ def examine(
     """
     check_kind("detector", detector, str)
     threshold = checked_share("threshold", threshold)
-    if run_time_ms is not None:
-        check_kind("run_time_ms", run_time_ms, Mapping)
+    check_optional("run_time_ms", run_time_ms, Mapping)
     matched = match_lights(labels, predictions)
     return Examination(
         name=labels.name,

@@ -227,16 +227,17 @@ def simulate_datasets(
 
 def _check_out(out: Path) -> None:
     """ValueError if `out` is a split, or the folder of a data set's cycle, in which nobody looks for another set."""
-    if _is_split(out):
+    if _is_begun(out):
         root = out.parent.parent
-    elif out.name in set(Cycle) and any(_is_split(folder) for folder in out.glob("*")):
+    elif out.name in set(Cycle) and any(_is_begun(folder) for folder in out.glob("*")):
         root = out.parent
     else:
         return
     raise ValueError(f"{out}: expected the folder of the whole data set, {root}, in which CYCLE/SPLIT is made")
 
 
-def _is_split(folder: Path) -> bool:
+def _is_begun(folder: Path) -> bool:
+    """Whether the folder is a split, finished or not."""
     return (folder / "scenes.jsonl").is_file() or (folder / "labels" / "keypoints").is_dir()
 
 
